@@ -1,0 +1,79 @@
+"""Array aliases and the checks every argument passes through.
+
+Values that outlive a call are read-only: a frozen dataclass around a writable array would not be frozen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from eos_pin.errors import InputError
+
+Array: TypeAlias = np.ndarray
+#: Any vector, and the vectors and matrices whose size the paper names: n joints, m task, r = n − m self-motion.
+Vector: TypeAlias = Float[np.ndarray, " k"]
+JointVector: TypeAlias = Float[np.ndarray, " n"]
+TaskVector: TypeAlias = Float[np.ndarray, " m"]
+SelfMotionVector: TypeAlias = Float[np.ndarray, " r"]
+Matrix: TypeAlias = Float[np.ndarray, "k l"]
+Jacobian: TypeAlias = Float[np.ndarray, "m n"]
+#: What a caller may hand over where a vector is meant.
+VectorLike: TypeAlias = Sequence[float] | np.ndarray
+
+
+def readonly(array: Array) -> Array:
+    """Read-only float copy of `array`; later writes to the original do not reach it."""
+    copy = np.array(array, dtype=float)
+    copy.flags.writeable = False
+    return copy
+
+
+def vector(values: VectorLike | float, size: int | None, name: str) -> Vector:
+    """Finite float vector of `size` entries.
+
+    Args:
+        values: Numbers of any real type.
+        size: Required length, or None for any.
+        name: What the vector is, for the error message.
+
+    Raises:
+        InputError: Not numbers, wrong length, or not finite.
+    """
+    try:
+        array = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be numbers, got {values!r}") from error
+    if array.ndim != 1 or (size is not None and array.shape[0] != size):
+        wanted = "one-dimensional" if size is None else f"{size} numbers"
+        raise InputError(f"{name} must be {wanted}, got shape {array.shape}")
+    if not np.isfinite(array).all():
+        bad = np.flatnonzero(~np.isfinite(array)).tolist()
+        raise InputError(f"{name} must be finite, got {array.tolist()} (entries {bad})")
+    return array
+
+
+def spread(values: VectorLike | float, size: int, name: str) -> Vector:
+    """Like `vector`, but one number stands for `size` equal ones (gains, tolerances)."""
+    if np.ndim(values) == 0:
+        return vector(np.full(size, values, dtype=float), size, name)
+    return vector(values, size, name)  # type: ignore[arg-type]
+
+
+def number(value: float, name: str, *, above: float = -np.inf, at_least: float = -np.inf) -> float:
+    """Finite float; any real number type is accepted.
+
+    Raises:
+        InputError: Not a number, not finite, not greater than `above`, or less than `at_least`.
+    """
+    try:
+        result = float(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be a number, got {value!r}") from error
+    if not np.isfinite(result) or result <= above or result < at_least:
+        bound = f" above {above:g}" if above > -np.inf else f" of at least {at_least:g}" if at_least > -np.inf else ""
+        raise InputError(f"{name} must be a finite number{bound}, got {value!r}")
+    return result

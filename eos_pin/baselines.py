@@ -1,0 +1,166 @@
+"""Traditional task-space control, to compare with.
+
+`TaskSpaceController` is the paper's, Eqs. (32), (33), (38), (43), and with other null-space laws what is in everyday
+use. Each popular variant has a name in `BASELINES`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import lapack
+
+from eos_pin.arrays import JointVector, VectorLike, readonly, spread, vector
+from eos_pin.controllers import TaskController
+from eos_pin.errors import SingularError
+from eos_pin.objectives import ReduceKineticEnergy
+from eos_pin.robot import Robot
+from eos_pin.tasks import Task
+from eos_pin.trajectories import Trajectory
+
+
+class NullSpaceLaw(ABC):
+    """A torque F⁰ that acts where the task does not feel it, through Nᵀ.
+
+    Attributes:
+        compensates: Whether Coriolis and gravity torques are also compensated in the null space. The paper's control
+            does not: there the robot falls freely wherever the task lets it.
+    """
+
+    compensates: bool = True
+
+    @abstractmethod
+    def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
+        """Torque F⁰ before projection [N m or N]."""
+
+
+@dataclass(frozen=True)
+class FreeNullSpace(NullSpaceLaw):
+    """No torque in the null space: Eqs. (32), (33), (43) as printed."""
+
+    compensates = False
+
+    def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
+        return np.zeros(robot.n)
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyNullSpace(NullSpaceLaw):
+    """Negative gradient of the kinetic energy; Eq. (38).
+
+    Attributes:
+        objective: Whose gradient it is, and how much of it.
+    """
+
+    objective: ReduceKineticEnergy
+    compensates = False
+
+    def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
+        return -self.objective.gain * self.objective.energy_gradient(q, dq)
+
+
+@dataclass(frozen=True)
+class DampedNullSpace(NullSpaceLaw):
+    """Joint damping M (−kd dq) in the null space.
+
+    Attributes:
+        kd: Damping [1/s].
+    """
+
+    kd: float = 20.0
+
+    def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
+        return robot.mass(q) @ (-self.kd * dq)
+
+
+class PostureNullSpace(NullSpaceLaw):
+    """Posture control M (kp (q_rest − q) − kd dq) in the null space, what most people use.
+
+    Args:
+        q: Posture, (n,) [rad or m].
+        kp: Gain [1/s²].
+        kd: Damping [1/s].
+    """
+
+    def __init__(self, q: VectorLike, *, kp: float | VectorLike = 100.0, kd: float | VectorLike = 20.0) -> None:
+        self.q = readonly(vector(q, None, "the posture"))
+        self.kp, self.kd = (readonly(spread(k, self.q.size, "a posture gain")) for k in (kp, kd))
+
+    def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
+        return robot.mass(q) @ (self.kp * (self.q - q) - self.kd * dq)
+
+
+class TaskSpaceController(TaskController):
+    """Khatib's task-space control F^y = G'ᵀ(Λ F* + μ + p) + NᵀF⁰; Eqs. (32), (33), (38), (43).
+
+    Args:
+        task: The task.
+        reference: Trajectory of the task.
+        null_space: Law for the null space; by default none, as in the paper.
+        kp: Gain on the task error, one number or (m,) [1/s²].
+        kd: Gain on the task's velocity error, one number or (m,) [1/s].
+        feedforward: Whether dz and ddz of the reference are used.
+        drift: Whether the Jacobian's time derivative (Ġ'dq in μ) is used; many implementations leave it out.
+        gravity: Whether the controller compensates gravity.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        reference: Trajectory,
+        null_space: NullSpaceLaw | None = None,
+        *,
+        kp: float | VectorLike = 100.0,
+        kd: float | VectorLike = 20.0,
+        feedforward: bool = True,
+        drift: bool = True,
+        gravity: bool = True,
+    ) -> None:
+        super().__init__(task, reference, kp=kp, kd=kd, feedforward=feedforward)
+        self.null_space = null_space or FreeNullSpace()
+        self.drift, self.gravity = drift, gravity
+        self._model = task.robot if gravity else task.robot.with_gravity(0.0)
+
+    def describe(self) -> dict[str, Any]:
+        return super().describe() | {
+            "null_space": type(self.null_space).__name__,
+            "drift": self.drift,
+            "gravity": self.gravity,
+        }
+
+    def torque(self, t: float, q: JointVector, dq: JointVector, memory: Any) -> JointVector:
+        point, model = self.task.at(q, dq), self._model
+        ddz = self.task_acceleration(t, point)
+        if self.drift:
+            ddz = ddz - point.drift
+        # The torque is G'ᵀΛ(ddz + G'M⁻¹(bias − F⁰)) + F⁰, with M = LLᵀ and Y = L⁻¹G'ᵀ, so that Λ = (YᵀY)⁻¹.
+        bias = model.bias(q, dq)
+        null = self.null_space.torque(model, q, dq)
+        if self.null_space.compensates:
+            null = null + bias
+        L, _ = lapack.dpotrf(model.mass(q), lower=1)
+        Y, _ = lapack.dtrtrs(L, point.J.T, lower=1)
+        y, _ = lapack.dtrtrs(L, bias - null, lower=1)
+        _, _, force, info = lapack.dgesv(Y.T.dot(Y), ddz + Y.T.dot(y))
+        if info:
+            raise SingularError("the task is singular here: its mass matrix Λ does not exist", 0, ())
+        return point.J.T.dot(force) + null
+
+
+#: Ready-made variants by name. Each is a function of the task, its trajectory and the posture at the start.
+BASELINES: Mapping[str, Callable[[Task, Trajectory, JointVector], TaskSpaceController]] = {
+    "task-space": lambda task, reference, q: TaskSpaceController(task, reference),
+    "task-space-energy": lambda task, reference, q: TaskSpaceController(
+        task, reference, EnergyNullSpace(ReduceKineticEnergy(task.robot))
+    ),
+    "null-space-damping": lambda task, reference, q: TaskSpaceController(task, reference, DampedNullSpace()),
+    "null-space-posture": lambda task, reference, q: TaskSpaceController(task, reference, PostureNullSpace(q)),
+    "without-drift": lambda task, reference, q: TaskSpaceController(task, reference, PostureNullSpace(q), drift=False),
+    "set-point": lambda task, reference, q: TaskSpaceController(
+        task, reference, PostureNullSpace(q), drift=False, feedforward=False
+    ),
+}

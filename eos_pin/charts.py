@@ -1,0 +1,457 @@
+"""Charts: joints as an explicit function q = y(z, v) of the task and of self-motion coordinates.
+
+Around a base configuration q_bar the joints are split along two constant, mutually orthogonal sets of directions,
+U = G'(q_bar)ᵀ and an orthonormal basis V of the null space of G'(q_bar). The self-motion coordinates v = Vᵀ q (up to
+a constant) say where along the null space the robot is; u = h(z, v) is then fixed by the task. Everything else of
+Sec. 3 follows: B, D, H, E, and the equations of motion built on them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+from scipy.linalg import lapack
+
+from eos_pin.arrays import Array, Jacobian, JointVector, SelfMotionVector, TaskVector, VectorLike, readonly, vector
+from eos_pin.errors import ChartError, InverseError, SingularError
+from eos_pin.tasks import Point, Task, TaskPoint
+
+#: G' counts as rank deficient where its smallest singular value falls below this fraction of the largest.
+RANK_TOLERANCE = 1e-7
+#: Up to this many joints one n × n solve is cheaper than the m × m form with its extra products.
+DENSE_SOLVE = 16
+
+
+class Inverse(NamedTuple):
+    """A point of the inverse kinematic map y(z, v), Eq. (13).
+
+    Attributes:
+        q: Joints [rad or m].
+        u: Coordinates h(z, v) along U.
+        B: (G'U)⁻¹ near q, a warm start for the next solve; Eq. (15).
+        iterations: Newton steps that were taken, all intermediate points included.
+        residual: Task error that is left, the largest entry [m, rad].
+    """
+
+    q: JointVector
+    u: TaskVector
+    B: Float[Array, "m m"]
+    iterations: int
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """A neighbourhood of q_bar on which (z, v) are coordinates of the robot; made by `Chart.at`.
+
+    Attributes:
+        task: The task z = G(q).
+        q_bar: Base configuration.
+        z_bar: Its task point.
+        v_bar: Its self-motion coordinates, (r,).
+        U: Transposed Jacobian at q_bar, (n, m); Eq. (10).
+        V: Orthonormal basis of the Jacobian's null space at q_bar, (n, r); Eq. (10).
+        B_bar: (UᵀU)⁻¹, (m, m); Eq. (15) at q_bar.
+    """
+
+    task: Task
+    q_bar: JointVector
+    z_bar: Point
+    v_bar: SelfMotionVector
+    U: Float[Array, "n m"]
+    V: Float[Array, "n r"]
+    B_bar: Float[Array, "m m"]
+
+    @classmethod
+    def at(cls, task: Task, q: VectorLike, *, previous: Chart | None = None) -> Chart:
+        """Chart with base point q.
+
+        Args:
+            task: The task.
+            q: Base configuration.
+            previous: Chart that is left. v continues its value there, and V is turned within the null space to lie
+                as close to the previous V as it can (orthogonal Procrustes), so that dv = Vᵀ dq jumps the least.
+
+        Raises:
+            SingularError: G'(q) has not full rank.
+            InputError: q has the wrong length or is not finite.
+        """
+        q_bar = readonly(vector(q, task.robot.n, "the base configuration q"))
+        z_bar, J = task.linearize(q_bar)
+        check_rank(J)
+        V = _null_space(J)
+        v_bar = np.zeros(V.shape[1])
+        if previous is not None:
+            X, _, Yt = np.linalg.svd(V.T @ previous.V)
+            V = V @ (X @ Yt)
+            v_bar = previous.v(q_bar)
+        return cls(task, q_bar, *(readonly(a) for a in (z_bar, v_bar, J.T, V, np.linalg.inv(J @ J.T))))
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.U.shape[0]
+
+    @property
+    def m(self) -> int:
+        """Dimension of the task."""
+        return self.U.shape[1]
+
+    @property
+    def r(self) -> int:
+        """Degree of redundancy n − m."""
+        return self.V.shape[1]
+
+    # -- coordinates -------------------------------------------------------------------------------------------------
+
+    def v(self, q: JointVector) -> SelfMotionVector:
+        """Self-motion coordinates v = v_bar + Vᵀ(q − q_bar); from Eq. (11)."""
+        return self.Vt.dot(q) + self._v_zero
+
+    def u(self, q: JointVector) -> TaskVector:
+        """Coordinates u along U of a configuration, −(UᵀU)⁻¹Uᵀ(q − q_bar); from Eq. (11)."""
+        return -self.B_bar.dot(self.U.T.dot(q - self.q_bar))
+
+    def q(self, v: SelfMotionVector, u: TaskVector) -> JointVector:
+        """Joints q = q_bar + V(v − v_bar) − U u; Eq. (11)."""
+        return self.q_bar + self.V.dot(v - self.v_bar) - self.U.dot(u)
+
+    def dv(self, dq: JointVector) -> SelfMotionVector:
+        """Self-motion velocity Vᵀ dq; Eqs. (19), (27)."""
+        return self.Vt.dot(dq)
+
+    @cached_property
+    def Vt(self) -> Float[Array, "r n"]:
+        """Vᵀ, laid out for fast products."""
+        return readonly(np.ascontiguousarray(self.V.T))
+
+    @cached_property
+    def _v_zero(self) -> SelfMotionVector:
+        return self.v_bar - self.V.T @ self.q_bar
+
+    # -- where the chart holds ---------------------------------------------------------------------------------------
+
+    @cached_property
+    def _row_basis(self) -> Float[Array, "n m"]:
+        """Orthonormal basis of the row space of G'(q_bar)."""
+        return np.linalg.qr(self.U)[0]
+
+    def margin(self, J: Jacobian) -> float:
+        """How far a configuration with Jacobian J is from the edge of the chart: 1 at the base point, 0 on the edge.
+
+        Cosine of the largest principal angle between the row spaces of J and of G'(q_bar). G'U is singular, and H
+        does not exist, exactly where it is zero while J has full rank.
+
+        Raises:
+            SingularError: J itself has not full rank.
+        """
+        L, info = lapack.dpotrf(J.dot(J.T), lower=1)
+        if info or min(L.diagonal()) <= RANK_TOLERANCE * max(L.diagonal()):
+            check_rank(J)
+        cosines, _ = lapack.dtrtrs(L, J.dot(self._row_basis), lower=1)
+        return float(np.linalg.svd(cosines, compute_uv=False)[-1])
+
+    def contains(self, J: Jacobian, threshold: float) -> bool:
+        """Whether `margin(J)` exceeds `threshold`, at a third of its cost in the usual case.
+
+        The product of the cosines of all principal angles, |det(J Q)| / √det(J Jᵀ), bounds the smallest from below.
+        """
+        LU, _, info = lapack.dgetrf(J.dot(self._row_basis))
+        L, not_positive = lapack.dpotrf(J.dot(J.T))
+        if not (info or not_positive):
+            diagonal = L.diagonal().tolist()
+            product = abs(math.prod(LU.diagonal().tolist())) / math.prod(diagonal)
+            if product > threshold and min(diagonal) > RANK_TOLERANCE * max(diagonal):
+                return True
+        return self.margin(J) > threshold
+
+    # -- derivatives -------------------------------------------------------------------------------------------------
+
+    def point(self, q: JointVector, dq: JointVector) -> ChartPoint:
+        """Velocity and acceleration kinematics at a state of the robot; Eqs. (15)–(20)."""
+        return ChartPoint(self, q, dq, self.task.at(q, dq))
+
+    def B(self, J: Jacobian, start: Float[Array, "m m"] | None = None, *, tol: float = 1e-12) -> Float[Array, "m m"]:
+        """B = (G'U)⁻¹ where the Jacobian is J; Eq. (15).
+
+        Args:
+            J: Jacobian G'(q).
+            start: Value at a point nearby. With it, B is found by the iteration of Eq. (21), which needs products only;
+                without, by a direct m × m solve.
+            tol: The iteration ends where no entry of G'U B − I exceeds this.
+
+        Raises:
+            ChartError: G'U is singular, or the iteration does not converge from `start`.
+        """
+        GU = J @ self.U
+        if start is None:
+            _, _, B, info = lapack.dgesv(GU, np.eye(self.m))
+            if info:
+                raise ChartError("G'U is singular: this configuration is on the edge of the chart; make a chart at it")
+            return B
+        B = start
+        for _ in range(60):
+            product = GU @ B
+            error = np.abs(product - np.eye(self.m)).max()
+            if error <= tol:
+                return B
+            # Each iteration squares the residual, so one that is large will not come back.
+            if not error < 1e6:
+                break
+            B = 2.0 * B - B @ product  # Eq. (21)
+        raise ChartError(f"the iteration for B diverges from this start (residual {error:.3g}); solve directly instead")
+
+    def acceleration(self, J: Jacobian, task: TaskVector, self_motion: SelfMotionVector) -> JointVector:
+        """Joint acceleration ddq with J ddq = `task` and Vᵀ ddq = `self_motion`.
+
+        With `task` = ddz − drift and `self_motion` = ddv this is H ddw + E of Eq. (20), without forming H or E.
+
+        Raises:
+            ChartError: [G'; Vᵀ] is singular.
+        """
+        if self.n <= DENSE_SOLVE:
+            A = self._stacked.copy(order="F")
+            A[: self.m] = J
+            _, _, ddq, info = lapack.dgesv(A, np.concatenate((task, self_motion)), 1, 1)
+        else:
+            lifted = self.V.dot(self_motion)
+            _, _, step, info = lapack.dgesv(J.dot(self.U), task - J.dot(lifted))
+            ddq = lifted + self.U.dot(step)
+        if info:
+            raise ChartError("[G'; Vᵀ] is singular: this configuration is on the edge of the chart; make a chart at it")
+        return ddq
+
+    @cached_property
+    def _stacked(self) -> Float[Array, "n n"]:
+        """[G'; Vᵀ] with the rows of G' still to be filled in, in the order LAPACK wants."""
+        return np.asfortranarray(np.vstack((self.U.T, self.V.T)))
+
+    # -- inverse kinematics ------------------------------------------------------------------------------------------
+
+    def inverse(
+        self,
+        z: Point,
+        v: SelfMotionVector,
+        *,
+        start: Inverse | None = None,
+        refresh: bool = True,
+        walking: bool = True,
+        tol: float = 1e-10,
+        max_iterations: int = 20,
+    ) -> Inverse:
+        """Joints at the task point z and the self-motion coordinates v; Eqs. (13), (22).
+
+        Newton's method from `start`. Where it does not converge, walk there along the straight line from the known
+        point, so that the solution found is the one that is connected to it.
+
+        Args:
+            z: Task point.
+            v: Self-motion coordinates, (r,).
+            start: A solution nearby; the base point by default.
+            refresh: Compute B anew in each iteration (best for long steps), or keep that of `start` as in Eq. (22)
+                (best for short steps along a path).
+            walking: Whether to walk where Newton's method does not converge at once.
+            tol: Largest task error that is left [m, rad].
+            max_iterations: Newton steps allowed at one point.
+
+        Raises:
+            InverseError: Not even a short step towards (z, v) converges: the chart ends before. It has the residual.
+        """
+        start = start or Inverse(self.q_bar, np.zeros(self.m), self.B_bar, 0, 0.0)
+        found = self._newton(z, v, start, refresh, tol, max_iterations)
+        if found.residual <= tol:
+            return found
+        current, iterations = start, found.iterations
+
+        def visit(z_next: Point, v_next: SelfMotionVector) -> bool:
+            nonlocal current, iterations
+            trial = self._newton(z_next, v_next, current, True, tol, max_iterations)
+            iterations += trial.iterations
+            if trial.residual > tol:
+                return False
+            current = trial
+            return True
+
+        reached = 0.0
+        if walking:
+            reached = walk(self.task, (self.task.value(start.q), self.v(start.q)), (z, v), visit)
+        if reached < 1.0:
+            residual = float(np.abs(self.task.minus(self.task.value(current.q), z)).max())
+            raise InverseError(
+                f"no joints on this chart have the task point asked for: {reached:.1%} of the way from the known point "
+                f"the chart ends or the point is out of reach (task error {residual:.3g} left after {iterations} Newton "
+                "steps). Start nearer, or follow the path with an Atlas, which changes charts",
+                residual,
+                iterations,
+            )
+        return current._replace(iterations=iterations)
+
+    def _newton(
+        self, z: Point, v: SelfMotionVector, start: Inverse, refresh: bool, tol: float, max_iterations: int
+    ) -> Inverse:
+        """Newton's method, Eq. (22); ends early where the residual grows, with whatever it has."""
+        task, U = self.task, self.U
+        base = self.q_bar + self.V.dot(v - self.v_bar)
+        u, B, last = start.u, start.B, math.inf
+        q = base - U.dot(u)
+        for iteration in range(max_iterations + 1):
+            if refresh:
+                z_q, J = task.linearize(q)
+            else:
+                z_q = task.value(q)
+            error = task.minus(z_q, z)
+            residual = max(map(abs, error.tolist()))
+            # A step that leads away has left the neighbourhood of convergence, and perhaps this chart. NaN ends here too.
+            if residual <= tol or not residual < last:
+                break
+            last = residual
+            if refresh:
+                LU, pivots, B, info = lapack.dgesv(J.dot(U), self._identity)
+                if info or _odd(LU, pivots):
+                    # det G'U > 0 at the base point, so it is positive on all of the chart.
+                    return Inverse(q, u, start.B, iteration, math.inf)
+            u = u + B.dot(error)
+            q = base - U.dot(u)
+        return Inverse(q, u, B, iteration, residual if residual == residual else math.inf)
+
+    @cached_property
+    def _identity(self) -> Float[Array, "m m"]:
+        return np.eye(self.m, order="F")
+
+
+@dataclass(frozen=True, eq=False)
+class ChartPoint:
+    """Kinematics of a chart at one state; each matrix is computed when it is asked for.
+
+    Attributes:
+        chart: The chart.
+        q: Joints.
+        dq: Joint velocities.
+        task: z, J, dz and drift there.
+    """
+
+    chart: Chart
+    q: JointVector
+    dq: JointVector
+    task: TaskPoint
+
+    @cached_property
+    def v(self) -> SelfMotionVector:
+        """Self-motion coordinates; Eq. (11)."""
+        return self.chart.v(self.q)
+
+    @cached_property
+    def dv(self) -> SelfMotionVector:
+        """Self-motion velocity Vᵀ dq; Eqs. (19), (27)."""
+        return self.chart.dv(self.dq)
+
+    @cached_property
+    def dw(self) -> JointVector:
+        """Velocity of w = (z, v), (n,); Eq. (19)."""
+        return np.concatenate((self.task.dz, self.dv))
+
+    @cached_property
+    def B(self) -> Float[Array, "m m"]:
+        """(G'U)⁻¹; Eq. (15)."""
+        return self.chart.B(self.task.J)
+
+    @cached_property
+    def D(self) -> Float[Array, "n r"]:
+        """(I − U B G')V, a basis of the null space of G' at q; Eq. (16)."""
+        V = self.chart.V
+        return V - self.chart.U @ (self.B @ (self.task.J @ V))
+
+    @cached_property
+    def H(self) -> Float[Array, "n n"]:
+        """[U B, D], with dq = H dw; Eq. (17)."""
+        return np.hstack((self.chart.U @ self.B, self.D))
+
+    @cached_property
+    def H_inverse(self) -> Float[Array, "n n"]:
+        """[G'; Vᵀ]; Eq. (18)."""
+        return np.vstack((self.task.J, self.chart.V.T))
+
+    @cached_property
+    def E(self) -> JointVector:
+        """−U B Ġ' dq, with ddq = H ddw + E; Eq. (20)."""
+        return -self.chart.U @ (self.B @ self.task.drift)
+
+
+def walk(
+    task: Task,
+    start: tuple[Point, SelfMotionVector],
+    goal: tuple[Point, SelfMotionVector],
+    visit: Callable[[Point, SelfMotionVector], bool],
+    *,
+    first: float = 0.5,
+    shortest: float = 1e-3,
+) -> float:
+    """Visit points along the straight line in (z, v) from `start` to `goal`, with steps as long as succeed.
+
+    Args:
+        task: Task whose group defines the straight line of z.
+        start: Known point.
+        goal: Point to reach.
+        visit: Tries a point and says whether it was reached.
+        first: Length of the first step, as a fraction of the way.
+        shortest: Fraction of the way below which a failing step ends the walk.
+
+    Returns:
+        The fraction of the way that was reached, 1.0 if all of it.
+    """
+    (z0, v0), (z1, v1) = start, goal
+    delta = task.minus(z1, z0)
+    reached, step = 0.0, first
+    while reached < 1.0:
+        if step < shortest:
+            return reached
+        ahead = min(1.0, reached + step)
+        z, v = (z1, v1) if ahead == 1.0 else (task.plus(z0, ahead * delta), v0 + ahead * (v1 - v0))
+        if visit(z, v):
+            reached, step = ahead, 2.0 * step
+        else:
+            step *= 0.5
+    return reached
+
+
+def check_rank(J: Jacobian) -> None:
+    """Refuse a Jacobian without full rank.
+
+    Raises:
+        SingularError: It has the rank and the singular values.
+    """
+    values = np.linalg.svd(J, compute_uv=False)
+    rank = int((values > RANK_TOLERANCE * values[0]).sum())
+    if rank < J.shape[0]:
+        raise SingularError(
+            f"the task is singular here: its Jacobian has rank {rank} of {J.shape[0]} (singular values "
+            f"{', '.join(f'{s:.2g}' for s in values)}). Move away from this configuration, or drop the lost direction "
+            "from the task",
+            rank,
+            values.tolist(),
+        )
+
+
+def _null_space(J: Jacobian) -> Float[Array, "n r"]:
+    """Orthonormal basis of the null space of J, the same on every machine: the sign of each column is fixed."""
+    m = J.shape[0]
+    V = scipy.linalg.qr(J.T)[0][:, m:]
+    for column in V.T:
+        # The last entry of about the largest size is positive; ties within rounding then cannot flip the sign.
+        size = np.abs(column)
+        if column[np.flatnonzero(size >= 0.5 * size.max())[-1]] < 0.0:
+            column *= -1.0
+    return V
+
+
+def _odd(LU: Array, pivots: Array) -> bool:
+    """Whether the determinant of a factored matrix is negative."""
+    signs = sum(d < 0.0 for d in LU.diagonal().tolist()) + sum(p != i for i, p in enumerate(pivots.tolist()))
+    return signs % 2 == 1

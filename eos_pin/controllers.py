@@ -1,0 +1,265 @@
+"""Controllers: from the robot's state to joint torques.
+
+A controller is a value. What it must remember between calls (the chart it is on) is an explicit memory, so that a
+driver may evaluate `torque` at trial times and states, as an ODE solver does, without changing anything; only
+`update`, called once where a step has been accepted, may move on to the next chart.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from eos_pin.arrays import JointVector, TaskVector, VectorLike, readonly, spread, vector
+from eos_pin.atlas import Atlas
+from eos_pin.charts import Chart
+from eos_pin.errors import InputError, StateError
+from eos_pin.objectives import Objective, Track
+from eos_pin.robot import Robot
+from eos_pin.tasks import Task, TaskPoint
+from eos_pin.trajectories import Target, Trajectory
+
+
+class Controller(ABC):
+    """Torques for a robot, as a pure function of time, state and an explicit memory."""
+
+    def start(self, t: float, q: JointVector, dq: JointVector) -> Any:
+        """Memory at the start of a run; None for a controller that needs none."""
+        return None
+
+    @abstractmethod
+    def torque(self, t: float, q: JointVector, dq: JointVector, memory: Any) -> JointVector:
+        """Joint torques F^y [N m or N]; never changes anything."""
+
+    def margin(self, t: float, q: JointVector, dq: JointVector, memory: Any) -> float:
+        """Positive while `memory` serves; where it crosses zero a driver stops and calls `update`."""
+        return 1.0
+
+    def update(self, t: float, q: JointVector, dq: JointVector, memory: Any) -> Any:
+        """Memory for the time from here on."""
+        return memory
+
+    def step(self, t: float, q: JointVector, dq: JointVector, memory: Any) -> tuple[JointVector, Any]:
+        """Torque and memory of one period of a sampled loop: `update` where it is due, then `torque`."""
+        if self.margin(t, q, dq, memory) <= 0.0:
+            memory = self.update(t, q, dq, memory)
+        return self.torque(t, q, dq, memory), memory
+
+    def describe(self) -> dict[str, Any]:
+        """What it is, in plain values, for the provenance of a run."""
+        return {"kind": type(self).__name__}
+
+
+class TaskController(Controller):
+    """A controller that makes a task follow a trajectory with linear error dynamics; Eq. (37).
+
+    Args:
+        task: The task; its robot is the model the controller knows, which need not be the plant.
+        reference: Trajectory of the task.
+        kp: Gain on the task error, one number or (m,) [1/s²].
+        kd: Gain on the task's velocity error, one number or (m,) [1/s]; 2 √kp is critically damped.
+        feedforward: Whether dz and ddz of the reference are used. Without them the robot is drawn to where the
+            reference is, and trails behind it, as set-point regulators do.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        reference: Trajectory,
+        *,
+        kp: float | VectorLike = 100.0,
+        kd: float | VectorLike = 20.0,
+        feedforward: bool = True,
+    ) -> None:
+        self.task, self.reference, self.feedforward = task, reference, feedforward
+        self.kp, self.kd = (readonly(spread(k, task.m, f"the task gain {name}")) for k, name in ((kp, "kp"), (kd, "kd")))
+        target = reference(0.0)
+        try:
+            task.point(target.z)
+        except InputError as error:
+            raise InputError(f"the reference does not fit the task: {error}") from error
+        if target.dz.shape != (task.m,):
+            raise InputError(f"the reference has {target.dz.size} velocities, but {task!r} has {task.m}; a Hold takes m=")
+
+    @property
+    def robot(self) -> Robot:
+        """The model the controller knows."""
+        return self.task.robot
+
+    def describe(self) -> dict[str, Any]:
+        return super().describe() | {
+            "kp": self.kp.tolist(),
+            "kd": self.kd.tolist(),
+            "feedforward": self.feedforward,
+            "robot": self.robot.name,
+            "reference": type(self.reference).__name__,
+        }
+
+    def task_acceleration(self, t: float, point: TaskPoint) -> TaskVector:
+        """Task part of F*: ddz_d + kd (dz_d − dz) + kp (z_d − z); Eqs. (33), (36)."""
+        z_d, dz_d, ddz_d = self.reference(t)
+        error = self.task.minus(z_d, point.z)
+        if not self.feedforward:
+            return self.kp * error - self.kd * point.dz
+        return ddz_d + self.kd * (dz_d - point.dz) + self.kp * error
+
+
+@dataclass(frozen=True, eq=False)
+class EosMemory:
+    """What `EosController` remembers.
+
+    Attributes:
+        chart: The chart it is on.
+        number: How many charts came before it.
+    """
+
+    chart: Chart
+    number: int = 0
+
+
+class EosController(TaskController):
+    """Computed torque in extended operational space: task and self-motion on laws of their own.
+
+    F^y = M(H F* + E) − R, Eqs. (35), (44), with the task part of F* from Eqs. (36), (45) and its self-motion part from
+    an objective. H F* + E is the acceleration ddq that solves [G'; Vᵀ] ddq = (F_z − Ġ'dq, F_v), so the torque is
+    the inverse dynamics of it and no mass matrix is formed. With an exact model, task and self-motion errors obey
+    ε̈ + kd ε̇ + kp ε = 0 independently of each other.
+
+    Args:
+        task: The task.
+        reference: Trajectory of the task.
+        self_motion: What the self-motion should do; by default hold v at its value at the start.
+        kp: Gain on the task error, one number or (m,) [1/s²].
+        kd: Gain on the task's velocity error, one number or (m,) [1/s].
+        feedforward: Whether dz and ddz of the reference are used.
+        gravity: Whether the controller compensates gravity.
+        atlas: Rule by which charts follow each other; by default that of `Atlas(task)`.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        reference: Trajectory,
+        self_motion: Objective | None = None,
+        *,
+        kp: float | VectorLike = 100.0,
+        kd: float | VectorLike = 20.0,
+        feedforward: bool = True,
+        gravity: bool = True,
+        atlas: Atlas | None = None,
+    ) -> None:
+        super().__init__(task, reference, kp=kp, kd=kd, feedforward=feedforward)
+        self.self_motion = self_motion or Track()
+        self.gravity = gravity
+        self.atlas = atlas or Atlas(task)
+        if self.atlas.task is not task:
+            raise InputError("the atlas of an EosController must be of the controller's own task object")
+        self._model = task.robot if gravity else task.robot.with_gravity(0.0)
+
+    def start(self, t: float, q: JointVector, dq: JointVector) -> EosMemory:
+        memory = EosMemory(self.atlas.start(q))
+        # A wrong shape of v_d or of its gains is refused here, not in the middle of a run.
+        self.self_motion.acceleration(t, q, dq, memory.chart)
+        return memory
+
+    def torque(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> JointVector:
+        return self._torque(t, q, dq, memory, self.task.at(q, dq))
+
+    def _torque(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint) -> JointVector:
+        F_z = self.task_acceleration(t, point)
+        F_v = self.self_motion.acceleration(t, q, dq, memory.chart)
+        ddq = memory.chart.acceleration(point.J, F_z - point.drift, F_v)
+        return self._model.inverse_dynamics(q, dq, ddq)
+
+    def margin(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> float:
+        _, J = self.task.linearize(q)
+        return memory.chart.margin(J) - self.atlas.threshold
+
+    def update(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> EosMemory:
+        return EosMemory(self.atlas.next(memory.chart, q), memory.number + 1)
+
+    def step(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> tuple[JointVector, EosMemory]:
+        # The kinematics serve the chart's margin and the torque.
+        point = self.task.at(q, dq)
+        if not self.atlas.holds(memory.chart, point.J):
+            memory = self.update(t, q, dq, memory)
+        return self._torque(t, q, dq, memory, point), memory
+
+    def describe(self) -> dict[str, Any]:
+        return super().describe() | {
+            "self_motion": type(self.self_motion).__name__,
+            "gravity": self.gravity,
+            "threshold": self.atlas.threshold,
+        }
+
+    def self_motion_target(self, t: float, memory: EosMemory) -> Target | None:
+        """Self-motion that is tracked at time t; None if the objective tracks none."""
+        return self.self_motion.target(t, memory.chart.r)
+
+
+class OpenLoop(Controller):
+    """Torques that are a given function of time.
+
+    Args:
+        tau: Function of t [s] that returns the torques (n,) [N m or N].
+    """
+
+    def __init__(self, tau: Callable[[float], VectorLike]) -> None:
+        self.tau = tau
+
+    def torque(self, t: float, q: JointVector, dq: JointVector, memory: Any) -> JointVector:
+        return np.asarray(self.tau(t), dtype=float)
+
+
+class ControlLoop:
+    """A controller with its memory, for a control loop of your own.
+
+    >>> loop = ControlLoop(controller)          # doctest: +SKIP
+    >>> tau = loop.step(t, q, dq)               # doctest: +SKIP
+
+    Args:
+        controller: The controller.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self.controller = controller
+        self.memory: Any = None
+
+    @cached_property
+    def _shape(self) -> tuple[int, ...] | None:
+        robot = getattr(self.controller, "robot", None)
+        return None if robot is None else (robot.n,)
+
+    def reset(self) -> None:
+        """Forget the chart; the next step starts a run."""
+        self.memory = None
+
+    def step(self, t: float, q: JointVector, dq: JointVector) -> JointVector:
+        """Joint torques at time t [s] in the state (q, dq) [N m or N].
+
+        Raises:
+            StateError: q or dq has the wrong shape or is not finite; nothing is changed, the next step may go on.
+            SingularError: The task is singular here.
+        """
+        try:
+            finite = math.isfinite(q.dot(q) + dq.dot(dq)) and q.shape == dq.shape == (self._shape or q.shape)
+        except (AttributeError, TypeError, ValueError):
+            finite = False
+        if not finite:
+            q, dq = self._checked(q, "q"), self._checked(dq, "dq")
+        if self.memory is None:
+            self.memory = self.controller.start(t, q, dq)
+        tau, self.memory = self.controller.step(t, q, dq, self.memory)
+        return tau
+
+    def _checked(self, values: VectorLike, name: str) -> JointVector:
+        try:
+            return vector(values, self._shape[0] if self._shape else None, name)
+        except InputError as error:
+            raise StateError(f"no torque for this state: {error}") from None

@@ -1,0 +1,112 @@
+"""Every exception that eos_pin raises.
+
+All derive from `EosError`, so one `except` catches what the package itself refuses. Each message says what was
+given, what is allowed and what to do; the data a program needs to react is kept in attributes.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+
+
+class EosError(Exception):
+    """Root of every exception raised by eos_pin."""
+
+
+class InputError(EosError, ValueError):
+    """An argument is of the wrong shape, not finite, or outside the allowed range."""
+
+
+class StateError(InputError):
+    """A robot state handed to a controller cannot be used: wrong shape, or not finite."""
+
+
+class RobotError(EosError):
+    """A robot description cannot be loaded, or its model cannot be controlled."""
+
+
+class UnknownNameError(RobotError, KeyError):
+    """A name (robot, frame, joint) is not known.
+
+    Attributes:
+        kind: What the name should have named, such as `"frame"`.
+        name: The name that was given.
+        available: All names that would have been accepted.
+    """
+
+    def __init__(self, kind: str, name: str, available: Iterable[str], advice: str = "") -> None:
+        self.kind, self.name, self.available = kind, name, tuple(available)
+        super().__init__(f"no {kind} is named {name!r}. {suggest(name, self.available)}{advice}")
+
+    def __str__(self) -> str:
+        # KeyError would show the repr of the message.
+        return str(self.args[0])
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild, (type(self), self.args, self.__dict__)
+
+
+class ChartError(EosError):
+    """A chart cannot be made, or is used outside the neighbourhood on which it holds."""
+
+
+class InverseError(ChartError):
+    """The inverse kinematic map u = h(z, v) was not found on this chart.
+
+    Attributes:
+        residual: Task error that was left, in the task's own units.
+        iterations: Newton steps that were taken.
+    """
+
+    def __init__(self, message: str, residual: float, iterations: int) -> None:
+        self.residual, self.iterations = residual, iterations
+        super().__init__(message)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild, (type(self), self.args, self.__dict__)
+
+
+class SingularError(ChartError):
+    """The task Jacobian G' loses rank: the task itself is singular, no chart can help.
+
+    Attributes:
+        rank: Rank that is left, at most m.
+        singular_values: Singular values of G'.
+    """
+
+    def __init__(self, message: str, rank: int, singular_values: Sequence[float]) -> None:
+        self.rank, self.singular_values = rank, tuple(singular_values)
+        super().__init__(message)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild, (type(self), self.args, self.__dict__)
+
+
+class ResultError(EosError):
+    """A result file is damaged, foreign, or of a version that cannot be read."""
+
+
+class ViewerError(EosError):
+    """The viewer cannot show what was asked."""
+
+
+def suggest(name: str, available: Sequence[str], most: int = 40) -> str:
+    """Sentence that names close matches of `name`, or what is available if nothing is close."""
+    if not available:
+        return "There are none. "
+    close = difflib.get_close_matches(name, available, n=6, cutoff=0.5)
+    close += [a for a in available if name.lower() in a.lower() and a not in close][:6]
+    if close:
+        return f"Did you mean {', '.join(close)}? "
+    listed = ", ".join(available[:most])
+    more = f" and {len(available) - most} more" if len(available) > most else ""
+    return f"Available: {listed}{more}. "
+
+
+def _rebuild(cls: type[EosError], args: tuple[object, ...], state: dict[str, object]) -> EosError:
+    """Unpickle an exception whose constructor takes more than its message."""
+    error = cls.__new__(cls)
+    error.args = args
+    error.__dict__.update(state)
+    return error

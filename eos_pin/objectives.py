@@ -1,0 +1,174 @@
+"""What the self-motion should do: laws for F_v, the self-motion part of F* in Eqs. (36), (39), (41), (45).
+
+An objective never disturbs the task: whatever acceleration it asks of v, the chart's [G'; Vᵀ] keeps z on its own law.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+from eos_pin.arrays import JointVector, SelfMotionVector, VectorLike, readonly, spread, vector
+from eos_pin.charts import Chart
+from eos_pin.errors import InputError
+from eos_pin.robot import Robot
+from eos_pin.trajectories import Hold, Target, Trajectory
+
+
+class Objective(ABC):
+    """A law for the self-motion."""
+
+    @abstractmethod
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        """Self-motion acceleration F_v that it asks for, (r,)."""
+
+    def target(self, t: float, r: int) -> Target | None:
+        """Self-motion (v, dv, ddv) that it tracks; None if it tracks none."""
+        return None
+
+
+class Track(Objective):
+    """Track self-motion v_d(t) with exponentially decaying error; lower rows of Eqs. (36), (45).
+
+    Args:
+        reference: v_d, as a trajectory or a constant; by default 0, the value of v at the start of a run.
+        kp: Gain on v, one number or (r,) [1/s²].
+        kd: Gain on dv, one number or (r,) [1/s]; 2 √kp is critically damped.
+    """
+
+    def __init__(
+        self,
+        reference: Trajectory | VectorLike | None = None,
+        *,
+        kp: float | VectorLike = 100.0,
+        kd: float | VectorLike = 20.0,
+    ) -> None:
+        if reference is not None and not isinstance(reference, Trajectory):
+            reference = Hold(vector(reference, None, "v_d"))
+        self.reference, self.kp, self.kd = reference, kp, kd
+        self._ready: tuple[SelfMotionVector, SelfMotionVector, Trajectory] | None = None
+
+    def _for(self, r: int) -> tuple[SelfMotionVector, SelfMotionVector, Trajectory]:
+        """Gains and reference for r self-motion coordinates, checked once."""
+        if self._ready is None or self._ready[0].size != r:
+            reference = self.reference or Hold([0.0] * r)  # type: ignore[arg-type]
+            vector(reference(0.0).z, r, "v_d")
+            kp, kd = (readonly(spread(k, r, f"the self-motion gain {name}")) for k, name in ((self.kp, "kp"), (self.kd, "kd")))
+            self._ready = kp, kd, reference
+        return self._ready
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        kp, kd, reference = self._for(chart.r)
+        v_d, dv_d, ddv_d = reference(t)
+        return ddv_d + kd * (dv_d - chart.dv(dq)) + kp * (v_d - chart.v(q))
+
+    def target(self, t: float, r: int) -> Target:
+        return self._for(r)[2](t)
+
+
+@dataclass(frozen=True)
+class Damp(Objective):
+    """Bring the self-motion to rest wherever it is: F_v = −kd dv. With kd = 0, leave v alone (end of Sec. 6.2).
+
+    Attributes:
+        kd: Damping [1/s].
+    """
+
+    kd: float = 20.0
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        return -self.kd * chart.dv(dq)
+
+
+class Posture(Objective):
+    """Draw the joints towards a posture, as far as the task allows: F_v = Vᵀ(kp (q_rest − q) − kd dq).
+
+    Args:
+        q: Posture, (n,) [rad or m].
+        kp: Gain, one number or (n,) [1/s²].
+        kd: Damping, one number or (n,) [1/s].
+    """
+
+    def __init__(self, q: VectorLike, *, kp: float | VectorLike = 100.0, kd: float | VectorLike = 20.0) -> None:
+        self.q = readonly(vector(q, None, "the posture"))
+        self.kp, self.kd = (readonly(spread(k, self.q.size, "a posture gain")) for k in (kp, kd))
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        return chart.Vt.dot(self.kp * (self.q - q) - self.kd * dq)
+
+
+@dataclass(frozen=True, eq=False)
+class ReduceKineticEnergy(Objective):
+    """Lower the kinetic energy T: F_v = −gain Vᵀ∇T; Eq. (39).
+
+    Attributes:
+        robot: Robot whose energy counts.
+        gain: Factor of the gradient; the paper's is 1.
+        gradient: `"velocity"` takes ∇T = ∂T/∂dq = M dq, which damps; `"configuration"` takes ∂T/∂q, the other reading
+            of the paper, which does not.
+    """
+
+    robot: Robot
+    gain: float = 1.0
+    gradient: Literal["velocity", "configuration"] = "velocity"
+
+    def __post_init__(self) -> None:
+        if self.gradient not in ("velocity", "configuration"):
+            raise InputError(f"gradient must be 'velocity' or 'configuration', got {self.gradient!r}")
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        return -self.gain * chart.Vt.dot(self.energy_gradient(q, dq))
+
+    def energy_gradient(self, q: JointVector, dq: JointVector) -> JointVector:
+        """∇T, (n,)."""
+        if self.gradient == "velocity":
+            return self._unloaded.inverse_dynamics(q, 0.0 * dq, dq)  # M dq
+        return self.robot.energy_slope(q, dq)
+
+    @cached_property
+    def _unloaded(self) -> Robot:
+        """The robot without gravity, whose inverse dynamics at rest is a product with M."""
+        return self.robot.with_gravity(0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class DescendPotential(Objective):
+    """Descend a potential U_p of the joints: F_v = −gain Vᵀ∇U_p − kd dv; Eq. (41), where kd is 0.
+
+    Attributes:
+        gradient: ∇U_p as a function of q, (n,).
+        gain: Factor of the gradient.
+        kd: Damping of the self-motion [1/s].
+    """
+
+    gradient: Callable[[JointVector], JointVector]
+    gain: float = 1.0
+    kd: float = 0.0
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        return chart.Vt.dot(-self.gain * self.gradient(q) - self.kd * dq)
+
+
+class Together(Objective):
+    """Sum of several objectives.
+
+    Args:
+        parts: The objectives.
+    """
+
+    def __init__(self, parts: Sequence[Objective]) -> None:
+        if not parts:
+            raise InputError("Together needs at least one objective; Damp(0.0) leaves the self-motion alone")
+        self.parts = tuple(parts)
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        total = self.parts[0].acceleration(t, q, dq, chart)
+        for part in self.parts[1:]:
+            total = total + part.acceleration(t, q, dq, chart)
+        return total
+
+    def target(self, t: float, r: int) -> Target | None:
+        return next((target for part in self.parts if (target := part.target(t, r)) is not None), None)

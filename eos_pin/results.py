@@ -1,0 +1,334 @@
+"""`Result`: what a run was and what happened in it.
+
+A result is arrays over time and plain provenance, nothing that has to be unpickled. It saves to one `.npz`, and
+re-checks itself from its raw arrays, whoever produced them.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import platform
+import sys
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from importlib import metadata
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from eos_pin.arrays import Array, Vector
+from eos_pin.errors import InputError, ResultError
+from eos_pin.loading import load_robot
+from eos_pin.robot import Robot
+from eos_pin.tasks import task_from
+
+#: Written into every file; a file with another one is refused.
+FORMAT = "eos_pin result 1"
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A run: its samples over time, how it ended, and where it came from.
+
+    Where a controller has no task or no charts, the columns that would describe them are empty (size 0) or NaN.
+
+    Attributes:
+        t: Times [s], (T,); they contain every exact multiple of the reference's period.
+        q: Joints [rad or m], (T, n).
+        dq: Joint velocities, (T, n).
+        ddq: Joint accelerations, (T, n).
+        tau: Joint torques F^y [N m or N], (T, n).
+        z: Task points, (T, size).
+        dz: Task velocities, (T, m).
+        z_ref: Task points that were asked for, (T, size).
+        error: Task error `minus(z_ref, z)` [m, rad], (T, m).
+        task_force: Force of the environment on the task [N, N m], (T, m).
+        v: Self-motion coordinates, (T, r).
+        dv: Self-motion velocities, (T, r).
+        v_ref: Self-motion that was asked for, NaN where none was, (T, r).
+        chart: Number of the chart, (T,).
+        kinetic_energy: Kinetic energy [J], (T,).
+        work: Work done on the robot since the start by torques and task force [J], (T,).
+        switches: Times at which a chart was left [s].
+        period: Period of the reference [s]; infinite if it does not repeat.
+        status: `"finished"`, or why the run ended early, in one word.
+        message: The same in a sentence, with advice.
+        info: Provenance: versions, robot, task, controller, arguments, seed, time spent.
+    """
+
+    t: Float[Array, " T"]
+    q: Float[Array, "T n"]
+    dq: Float[Array, "T n"]
+    ddq: Float[Array, "T n"]
+    tau: Float[Array, "T n"]
+    z: Float[Array, "T size"]
+    dz: Float[Array, "T m"]
+    z_ref: Float[Array, "T size"]
+    error: Float[Array, "T m"]
+    task_force: Float[Array, "T m"]
+    v: Float[Array, "T r"]
+    dv: Float[Array, "T r"]
+    v_ref: Float[Array, "T r"]
+    chart: Int[Array, " T"]
+    kinetic_energy: Float[Array, " T"]
+    work: Float[Array, " T"]
+    switches: Float[Array, " S"]
+    period: float = math.inf
+    status: str = "finished"
+    message: str = ""
+    info: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        rows = len(self.t)
+        for name in _ARRAYS:
+            array = np.array(getattr(self, name))
+            if name != "switches" and len(array) != rows:
+                raise InputError(f"a result needs as many rows of {name} as times: {len(array)} against {rows}")
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run reached its end."""
+        return self.status == "finished"
+
+    # -- figures -----------------------------------------------------------------------------------------------------
+
+    @property
+    def cycles(self) -> int:
+        """Complete periods of the reference within the run."""
+        if not (math.isfinite(self.period) and len(self.t)):
+            return 0
+        return int((self.t[-1] - self.t[0]) / self.period + 1e-9)
+
+    @property
+    def cycle_rows(self) -> Int[Array, " C"]:
+        """Rows at the exact multiples of the period, from 0 to `cycles`."""
+        times = self.t[0] + self.period * np.arange(self.cycles + 1) if self.cycles else self.t[:1]
+        return np.abs(self.t[:, None] - times[None, :]).argmin(axis=0)
+
+    @property
+    def settled_row(self) -> int:
+        """First row that counts as after transients: the end of the first cycle, or half the run if there is only one."""
+        if self.cycles > 1:
+            return int(self.cycle_rows[1])
+        return int(np.searchsorted(self.t, 0.5 * (self.t[0] + self.t[-1]))) if len(self.t) else 0
+
+    @property
+    def joint_drift_per_cycle(self) -> Vector:
+        """Largest change of a joint from each exact multiple of the period to the next [rad or m]."""
+        q = self.q[self.cycle_rows]
+        return np.abs(np.diff(q, axis=0)).max(axis=1) if len(q) > 1 else np.zeros(0)
+
+    @property
+    def self_motion_error(self) -> Float[Array, "T r"]:
+        """v_ref − v; NaN where no self-motion was asked for."""
+        return self.v_ref - self.v
+
+    def mean(self, values: Float[Array, " T"]) -> float:
+        """Time average over the complete cycles after transients, or over all that comes after them."""
+        first, last = self.settled_row, int(self.cycle_rows[-1]) if self.cycles > 1 else len(self.t) - 1
+        if last <= first:
+            return float(values[first:].mean()) if len(values) else math.nan
+        span = slice(first, last + 1)
+        return float(np.trapezoid(values[span], self.t[span]) / (self.t[last] - self.t[first]))
+
+    def summary(self) -> dict[str, Any]:
+        """Figures of the run as plain values, for a table or JSON.
+
+        Errors are maxima after transients, that is from the row `settled_row` on (`settled_from` in seconds).
+        """
+        late = slice(self.settled_row, None)
+        task = self.info.get("task") or {}
+        return {
+            "status": self.status,
+            "message": self.message,
+            "robot": self.info.get("robot", {}).get("name", ""),
+            "task": task,
+            "frame": task.get("frame", ""),
+            "controller": self.info.get("controller", {}),
+            "n": self.q.shape[1],
+            "m": self.error.shape[1],
+            "r": self.q.shape[1] - self.error.shape[1] if self.error.shape[1] else 0,
+            "duration": float(self.t[-1]) if len(self.t) else 0.0,
+            "period": self.period if math.isfinite(self.period) else None,
+            "cycles": self.cycles,
+            "settled_from": float(self.t[late][0]) if len(self.t[late]) else 0.0,
+            "task_error_max": _largest(self.error[late]),
+            "self_motion_error_max": _largest(self.self_motion_error[late]),
+            "joint_drift_per_cycle": [float(d) for d in self.joint_drift_per_cycle],
+            "chart_switches": len(self.switches),
+            "kinetic_energy_mean": self.mean(self.kinetic_energy),
+            "torque_max": _largest(self.tau),
+            "cpu_seconds": float(self.info.get("cpu_seconds", math.nan)),
+        }
+
+    def residuals(self, robot: Robot | None = None) -> dict[str, float]:
+        """Re-check the run from its raw arrays; all figures are near rounding, or within the integrator's tolerance.
+
+        Args:
+            robot: The plant; by default it is loaded again from the provenance.
+
+        Returns:
+            `task` z − G(q) [m, rad]; `torque` M ddq − R − tau − G'ᵀF^z, relative to the largest torque;
+            `power` change of energy minus work, relative to the largest energy exchanged.
+
+        Raises:
+            ResultError: The plant cannot be loaded again (it was made in memory): hand it over.
+        """
+        robot = robot or self.load_plant()
+        torque = np.array([robot.inverse_dynamics(*row) for row in zip(self.q, self.dq, self.ddq, strict=True)])
+        torque -= self.tau
+        found: dict[str, float] = {}
+        if self.info.get("task"):
+            task = task_from(robot, self.info["task"])
+            points = [task.linearize(q) for q in self.q]
+            found["task"] = _largest(np.array([task.minus(z, p[0]) for z, p in zip(self.z, points, strict=True)]))
+            torque -= np.array([p[1].T @ f for p, f in zip(points, self.task_force, strict=True)])
+        energy = np.array(
+            [robot.kinetic_energy(q, dq) + robot.potential_energy(q) for q, dq in zip(self.q, self.dq, strict=True)]
+        )
+        scale = max(np.ptp(energy), np.ptp(self.work), self.kinetic_energy.max(), 1e-12)
+        found["torque"] = _largest(torque) / max(_largest(self.tau), 1e-12)
+        found["power"] = _largest(energy - energy[0] - (self.work - self.work[0])) / scale
+        return found
+
+    def load_plant(self) -> Robot:
+        """The robot that ran, loaded again from where it came.
+
+        Raises:
+            ResultError: It was made in memory, or its URDF has changed since.
+        """
+        record = self.info.get("robot", {})
+        if not record.get("source"):
+            raise ResultError(
+                f"the plant of this run ({record.get('name', 'unnamed')!r}) was made in memory and is not in the file; "
+                "pass the robot"
+            )
+        robot = load_robot(record["source"], **record.get("options", {}))
+        if record.get("urdf_sha256") not in ("", None, robot.urdf_sha256):
+            raise ResultError(f"the URDF of {record['source']!r} has changed since this run; pass the robot it ran on")
+        return robot
+
+    # -- files -------------------------------------------------------------------------------------------------------
+
+    def save(self, path: str | Path) -> Path:
+        """Write everything to one `.npz`; a file that was there is replaced at once or not at all.
+
+        Raises:
+            ResultError: The file cannot be written.
+        """
+        path = Path(path)
+        if path.suffix != ".npz":
+            path = path.with_name(path.name + ".npz")
+        text = {
+            "format": FORMAT,
+            "period": self.period if math.isfinite(self.period) else None,
+            "status": self.status,
+            "message": self.message,
+            "info": dict(self.info),
+        }
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+
+        def write(file: IO[bytes]) -> None:
+            np.savez_compressed(file, allow_pickle=False, header=np.array(json.dumps(text)), **arrays)
+
+        write_atomically(path, write)
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> Result:
+        """Read a file that `save` wrote; nothing in it is executed.
+
+        Raises:
+            ResultError: The file is missing, damaged, or not such a file.
+        """
+        path = Path(path)
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                header = json.loads(str(file["header"]))
+                if header.get("format") != FORMAT:
+                    raise ResultError(f"{path} has format {header.get('format')!r}, this version reads {FORMAT!r}")
+                arrays = {name: file[name] for name in _ARRAYS}
+        except (OSError, ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as error:
+            raise ResultError(
+                f"{path} cannot be read as a result of eos_pin: {error or type(error).__name__}. Results are the .npz "
+                "files that `eos-pin track` and Result.save write"
+            ) from error
+        period = header["period"] if header["period"] is not None else math.inf
+        return cls(**arrays, period=period, status=header["status"], message=header["message"], info=header["info"])
+
+    def to_csv(self, path: str | Path) -> Path:
+        """Write the samples as a table, a row per time and a named column per number."""
+        path = Path(path)
+        columns = {
+            name: getattr(self, name) for name in _ARRAYS if name != "switches" and np.size(getattr(self, name))
+        }
+        names: list[str] = []
+        for name, array in columns.items():
+            names += [name] if array.ndim == 1 else [f"{name}{i + 1}" for i in range(array.shape[1])]
+
+        def write(file: IO[bytes]) -> None:
+            text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+            table = csv.writer(text)
+            table.writerow(names)
+            table.writerows(np.column_stack(list(columns.values())).tolist())
+            text.flush()
+            text.detach()
+
+        write_atomically(path, write)
+        return path
+
+
+_ARRAYS = tuple(f.name for f in fields(Result) if f.name not in ("period", "status", "message", "info"))
+
+
+def write_atomically(path: str | Path, write: Callable[[IO[bytes]], None]) -> None:
+    """Write a file beside `path` and rename it there, so that `path` is never half a file.
+
+    Raises:
+        ResultError: The file cannot be written.
+    """
+    path = Path(path)
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            temporary = Path(file.name)
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        temporary.replace(path)
+    except OSError as error:
+        raise ResultError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def provenance() -> dict[str, Any]:
+    """Versions that a run depends on."""
+    versions = {}
+    for name in ("eos-pin", "pin", "numpy", "scipy"):
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            versions[name] = "unknown"
+    return {"versions": versions, "python": platform.python_version(), "platform": sys.platform}
+
+
+def _largest(values: Array) -> float:
+    """Largest magnitude, NaN left out; NaN if there is nothing."""
+    values = np.abs(values[np.isfinite(values)]) if values.size else values
+    return float(values.max()) if values.size else math.nan

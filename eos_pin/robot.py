@@ -1,0 +1,465 @@
+"""`Robot`: a checked rigid-body model and the dynamics Pinocchio computes for it.
+
+This is the border to Pinocchio: what is returned is copied, never a live view into its workspace. Pinocchio
+calls joint velocity `v`; here `v` is the paper's self-motion coordinate, so Pinocchio is called positionally.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from eos_pin.arrays import Array, JointVector, VectorLike, number, readonly, vector
+from eos_pin.errors import RobotError, UnknownNameError
+
+#: M(q) counts as singular below this reciprocal condition number: torques would have no meaning.
+SINGULAR_MASS = 1e-12
+
+#: Pinocchio's workspace holds eight n × n × n arrays, 8 GB at this n; more is refused before memory runs out.
+MOST_JOINTS = 500
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One degree of freedom.
+
+    Attributes:
+        name: Name in the URDF.
+        kind: `"revolute"`, `"continuous"` (revolute without limits) or `"prismatic"`.
+        lower: Lower position limit [rad or m], −inf without limit.
+        upper: Upper position limit [rad or m], inf without limit.
+        velocity: Velocity limit [rad/s or m/s], inf without limit.
+        effort: Torque or force limit [N m or N], inf without limit.
+    """
+
+    name: str
+    kind: str
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+
+
+class HasShapes(Protocol):
+    """What holds the geometry of a robot, such as `eos_pin.shapes.Shapes`."""
+
+    @property
+    def visual(self) -> pin.GeometryModel:
+        """What a person sees."""
+
+    @property
+    def collision(self) -> pin.GeometryModel:
+        """What distances are computed from."""
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A serial robot: n one-degree-of-freedom joints, its inertia, and its shape.
+
+    Made by `eos_pin.load_robot`, or directly from a `pin.Model` whose joints all have one degree of freedom; the
+    model is copied, so the caller's stays as it is.
+
+    Attributes:
+        model: Pinocchio model; treat it as read-only.
+        name: Name of the robot.
+        source: Where it was loaded from, in a form `load_robot` takes; empty if built in memory.
+        options: The arguments of `load_robot` beside `source`, so that a saved run can find its robot again.
+        urdf_sha256: Hash of the URDF text; empty if built in memory.
+        notes: What loading changed or could not find, in sentences for people.
+        shapes: What has its visual and its collision geometry, read when first asked for; None without shapes.
+
+    Raises:
+        RobotError: No joints, a joint with other than one degree of freedom, or M(q) singular.
+    """
+
+    model: pin.Model
+    name: str = ""
+    source: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    urdf_sha256: str = ""
+    notes: tuple[str, ...] = ()
+    shapes: HasShapes | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "model", self.model.copy())
+        object.__setattr__(self, "name", self.name or self.model.name)
+        if self.n == 0:
+            raise RobotError(f"robot {self.name!r} has no moving joints; eos_pin needs at least one")
+        if self.n > MOST_JOINTS:
+            raise RobotError(
+                f"robot {self.name!r} has {self.n} joints, and the workspace Pinocchio makes for them would take "
+                f"{64e-9 * self.n**3:.0f} GB. Up to {MOST_JOINTS} are possible: lock some, or load the chain to one frame"
+            )
+        for i, joint in enumerate(self.model.joints):
+            if i and (joint.nq, joint.nv) != (1, 1):
+                raise RobotError(
+                    f"joint {self.model.names[i]!r} ({joint.shortname()}) has nq = {joint.nq}, nv = {joint.nv}; eos_pin "
+                    "controls robots whose joints are all revolute, continuous or prismatic. Lock the joint, or load "
+                    "the chain to one frame"
+                )
+        self._check_inertia()
+
+    def _check_inertia(self) -> None:
+        """Refuse a model whose mass matrix cannot be inverted, and name the joints that move no mass."""
+        q = np.clip(np.zeros(self.n), self.lower, self.upper)
+        M = self.mass(q)
+        names = self.model.names
+        weightless = [names[i + 1] for i in range(self.n) if not M[i, i] > 0.0]
+        if not np.isfinite(M).all():
+            raise RobotError(
+                f"robot {self.name!r} has a mass matrix that is not finite: check the <inertial> elements"
+            )
+        if weightless:
+            raise RobotError(
+                f"robot {self.name!r} cannot be controlled by torque: joints {', '.join(weightless)} move no mass "
+                "(M(q) is singular). Give the links beyond them an <inertial>, or lock these joints"
+            )
+        scale = 1.0 / np.sqrt(np.diag(M))
+        eigenvalues = np.linalg.eigvalsh(M * scale * scale[:, None])
+        if not eigenvalues[0] > SINGULAR_MASS * eigenvalues[-1]:
+            raise RobotError(
+                f"robot {self.name!r} has a mass matrix that is not positive definite at {q.tolist()} (eigenvalues from "
+                f"{eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g} after scaling): check the <inertial> elements"
+            )
+
+    # -- what the robot is ---------------------------------------------------------------------------------------
+
+    @cached_property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.model.nv)
+
+    @cached_property
+    def joints(self) -> tuple[Joint, ...]:
+        """The joints, in the order of q."""
+        return tuple(
+            Joint(
+                name=self.model.names[i + 1],
+                kind=self._kind(i),
+                lower=float(self.lower[i]),
+                upper=float(self.upper[i]),
+                velocity=float(self.velocity[i]),
+                effort=float(self.effort[i]),
+            )
+            for i in range(self.n)
+        )
+
+    def _kind(self, i: int) -> str:
+        if self.model.joints[i + 1].shortname().startswith("JointModelP"):
+            return "prismatic"
+        return "revolute" if np.isfinite(self.lower[i]) or np.isfinite(self.upper[i]) else "continuous"
+
+    @cached_property
+    def lower(self) -> JointVector:
+        """Lower position limits [rad or m]; −inf where there is none."""
+        return _limit(self.model.lowerPositionLimit, -np.inf)
+
+    @cached_property
+    def upper(self) -> JointVector:
+        """Upper position limits [rad or m]; inf where there is none."""
+        return _limit(self.model.upperPositionLimit, np.inf)
+
+    @cached_property
+    def velocity(self) -> JointVector:
+        """Velocity limits [rad/s or m/s]; inf where the URDF states none or zero."""
+        return _bound(self.model.velocityLimit)
+
+    @cached_property
+    def effort(self) -> JointVector:
+        """Torque limits [N m or N]; inf where the URDF states none or zero."""
+        return _bound(self.model.effortLimit)
+
+    @cached_property
+    def frames(self) -> tuple[str, ...]:
+        """Names of all frames a task can use, from the base to the tip."""
+        return tuple(dict.fromkeys(frame.name for frame in self.model.frames))
+
+    def frame_id(self, name: str) -> int:
+        """Index of the frame `name`.
+
+        Raises:
+            UnknownNameError: There is no such frame; Pinocchio itself would silently answer with the frame count.
+        """
+        return find_frame(self.model, name)
+
+    @property
+    def visual(self) -> pin.GeometryModel:
+        """What a person sees."""
+
+    @property
+    def collision(self) -> pin.GeometryModel:
+        """What distances are computed from."""
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A serial robot: n one-degree-of-freedom joints, its inertia, and its shape.
+
+    Made by `eos_pin.load_robot`, or directly from a `pin.Model` whose joints all have one degree of freedom; the
+    model is copied, so the caller's stays as it is.
+
+    Attributes:
+        model: Pinocchio model; treat it as read-only.
+        name: Name of the robot.
+        source: Where it was loaded from, in a form `load_robot` takes; empty if built in memory.
+        options: The arguments of `load_robot` beside `source`, so that a saved run can find its robot again.
+        urdf_sha256: Hash of the URDF text; empty if built in memory.
+        notes: What loading changed or could not find, in sentences for people.
+        shapes: What has its visual and its collision geometry, read when first asked for; None without shapes.
+
+    Raises:
+        RobotError: No joints, a joint with other than one degree of freedom, or M(q) singular.
+    """
+
+    model: pin.Model
+    name: str = ""
+    source: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    urdf_sha256: str = ""
+    notes: tuple[str, ...] = ()
+    shapes: HasShapes | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "model", self.model.copy())
+        object.__setattr__(self, "name", self.name or self.model.name)
+        if self.n == 0:
+            raise RobotError(f"robot {self.name!r} has no moving joints; eos_pin needs at least one")
+        if self.n > MOST_JOINTS:
+            raise RobotError(
+                f"robot {self.name!r} has {self.n} joints, and the workspace Pinocchio makes for them would take "
+                f"{64e-9 * self.n**3:.0f} GB. Up to {MOST_JOINTS} are possible: lock some, or load the chain to one frame"
+            )
+        for i, joint in enumerate(self.model.joints):
+            if i and (joint.nq, joint.nv) != (1, 1):
+                raise RobotError(
+                    f"joint {self.model.names[i]!r} ({joint.shortname()}) has nq = {joint.nq}, nv = {joint.nv}; eos_pin "
+                    "controls robots whose joints are all revolute, continuous or prismatic. Lock the joint, or load "
+                    "the chain to one frame"
+                )
+        self._check_inertia()
+
+    def _check_inertia(self) -> None:
+        """Refuse a model whose mass matrix cannot be inverted, and name the joints that move no mass."""
+        q = np.clip(np.zeros(self.n), self.lower, self.upper)
+        M = self.mass(q)
+        names = self.model.names
+        weightless = [names[i + 1] for i in range(self.n) if not M[i, i] > 0.0]
+        if not np.isfinite(M).all():
+            raise RobotError(
+                f"robot {self.name!r} has a mass matrix that is not finite: check the <inertial> elements"
+            )
+        if weightless:
+            raise RobotError(
+                f"robot {self.name!r} cannot be controlled by torque: joints {', '.join(weightless)} move no mass "
+                "(M(q) is singular). Give the links beyond them an <inertial>, or lock these joints"
+            )
+        scale = 1.0 / np.sqrt(np.diag(M))
+        eigenvalues = np.linalg.eigvalsh(M * scale * scale[:, None])
+        if not eigenvalues[0] > SINGULAR_MASS * eigenvalues[-1]:
+            raise RobotError(
+                f"robot {self.name!r} has a mass matrix that is not positive definite at {q.tolist()} (eigenvalues from "
+                f"{eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g} after scaling): check the <inertial> elements"
+            )
+
+    # -- what the robot is ---------------------------------------------------------------------------------------
+
+    @cached_property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.model.nv)
+
+    @cached_property
+    def joints(self) -> tuple[Joint, ...]:
+        """The joints, in the order of q."""
+        return tuple(
+            Joint(
+                name=self.model.names[i + 1],
+                kind=self._kind(i),
+                lower=float(self.lower[i]),
+                upper=float(self.upper[i]),
+                velocity=float(self.velocity[i]),
+                effort=float(self.effort[i]),
+            )
+            for i in range(self.n)
+        )
+
+    def _kind(self, i: int) -> str:
+        if self.model.joints[i + 1].shortname().startswith("JointModelP"):
+            return "prismatic"
+        return "revolute" if np.isfinite(self.lower[i]) or np.isfinite(self.upper[i]) else "continuous"
+
+    @cached_property
+    def lower(self) -> JointVector:
+        """Lower position limits [rad or m]; −inf where there is none."""
+        return _limit(self.model.lowerPositionLimit, -np.inf)
+
+    @cached_property
+    def upper(self) -> JointVector:
+        """Upper position limits [rad or m]; inf where there is none."""
+        return _limit(self.model.upperPositionLimit, np.inf)
+
+    @cached_property
+    def velocity(self) -> JointVector:
+        """Velocity limits [rad/s or m/s]; inf where the URDF states none or zero."""
+        return _bound(self.model.velocityLimit)
+
+    @cached_property
+    def effort(self) -> JointVector:
+        """Torque limits [N m or N]; inf where the URDF states none or zero."""
+        return _bound(self.model.effortLimit)
+
+    @cached_property
+    def frames(self) -> tuple[str, ...]:
+        """Names of all frames a task can use, from the base to the tip."""
+        return tuple(dict.fromkeys(frame.name for frame in self.model.frames))
+
+    def frame_id(self, name: str) -> int:
+        """Index of the frame `name`.
+
+        Raises:
+            UnknownNameError: There is no such frame; Pinocchio itself would silently answer with the frame count.
+        """
+        if not self.model.existFrame(name):
+            raise UnknownNameError("frame", name, self.frames)
+        # A joint and a link may share one name; the link is what a person means.
+        for i, frame in enumerate(self.model.frames):
+            if frame.name == name and frame.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME):
+                return i
+        return int(self.model.getFrameId(name))
+
+    @property
+    def visual(self) -> pin.GeometryModel | None:
+        """Visual geometry; the first access reads the meshes."""
+        return self.shapes and self.shapes.visual
+
+    @property
+    def collision(self) -> pin.GeometryModel | None:
+        """Collision geometry; the first access reads the meshes."""
+        return self.shapes and self.shapes.collision
+
+    # -- dynamics ------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _data(self) -> pin.Data:
+        return self.model.createData()
+
+    def mass(self, q: JointVector) -> Float[Array, "n n"]:
+        """Mass matrix M(q), symmetric; Eq. (5)."""
+        M = pin.crba(self.model, self._data, q)
+        return np.triu(M) + np.triu(M, 1).T
+
+    def bias(self, q: JointVector, dq: JointVector) -> JointVector:
+        """Coriolis, centrifugal and gravity torque C(q, dq) dq + g(q) = −R [N m or N]; R as in Eq. (24)."""
+        return pin.nonLinearEffects(self.model, self._data, q, dq)
+
+    def gravity(self, q: JointVector) -> JointVector:
+        """Gravity torque g(q) = −Q^y [N m or N]; Eq. (5)."""
+        return pin.computeGeneralizedGravity(self.model, self._data, q)
+
+    def inverse_dynamics(self, q: JointVector, dq: JointVector, ddq: JointVector) -> JointVector:
+        """Torque M ddq − R that causes the acceleration `ddq` [N m or N]; Eq. (24) without F^z."""
+        return pin.rnea(self.model, self._data, q, dq, ddq)
+
+    def forward_dynamics(self, q: JointVector, dq: JointVector, tau: JointVector) -> JointVector:
+        """Acceleration M⁻¹ (R + tau) [rad/s² or m/s²]; Eq. (31). Add J.T @ F^z to `tau` for a force on the task."""
+        return pin.aba(self.model, self._data, q, dq, tau)
+
+    def kinetic_energy(self, q: JointVector, dq: JointVector) -> float:
+        """Kinetic energy ½ dqᵀ M dq [J]."""
+        return float(pin.computeKineticEnergy(self.model, self._data, q, dq))
+
+    def potential_energy(self, q: JointVector) -> float:
+        """Potential energy of gravity [J]."""
+        return float(pin.computePotentialEnergy(self.model, self._data, q))
+
+    def energy_slope(self, q: JointVector, dq: JointVector) -> JointVector:
+        """Slope ∂T/∂q of the kinetic energy at constant dq [N m or N]."""
+        # Ṁ = C + Cᵀ and C dq = Ṁ dq − ∂T/∂q leave Cᵀ dq.
+        return pin.computeCoriolisMatrix(self.model, self._data, q, dq).T @ dq
+
+    def placement(self, q: JointVector, frame: str) -> pin.SE3:
+        """Pose of `frame` in the world."""
+        i = self.frame_id(frame)
+        pin.forwardKinematics(self.model, self._data, q)
+        return pin.updateFramePlacement(self.model, self._data, i).copy()
+
+    # -- variations ----------------------------------------------------------------------------------------------
+
+    def with_gravity(self, gravity: VectorLike | float) -> Robot:
+        """Copy in another gravity field.
+
+        Args:
+            gravity: Acceleration of gravity [m/s²], a vector, or one number g for (0, 0, −g); 0 for none.
+        """
+        if np.ndim(gravity) == 0:
+            gravity = [0.0, 0.0, -number(gravity, "gravity")]  # type: ignore[arg-type]
+        model = self.model.copy()
+        field = vector(gravity, 3, "gravity")  # type: ignore[arg-type]
+        model.gravity = pin.Motion(field, np.zeros(3))
+        return replace(self, model=model, options={**self.options, "gravity": field.tolist()})
+
+    def perturbed(self, *, mass: float = 0.0, com: float = 0.0, inertia: float = 0.0, seed: int = 0) -> Robot:
+        """Copy with a random model error, to be the plant of a controller that does not know it.
+
+        It has no `source`: no file describes it.
+
+        Args:
+            mass: Largest relative error of each link's mass, such as 0.2.
+            com: Largest relative error of each coordinate of the centre of mass.
+            inertia: Largest relative error of each principal moment, before the triangle inequality is restored.
+            seed: Seed of the errors.
+        """
+        random = np.random.default_rng(seed)
+        model = self.model.copy()
+        for i in range(1, model.njoints):
+            body = model.inertias[i]
+            if body.mass <= 0.0:
+                continue
+            factor = 1.0 + mass * random.uniform(-1, 1)
+            lever = body.lever * (1.0 + com * random.uniform(-1, 1, 3))
+            # Second moments stay positive, so the result is the inertia of a real body.
+            moments, axes = np.linalg.eigh(body.inertia)
+            second = np.maximum(0.5 * moments.sum() - moments, 0.0) * (
+                1.0 + inertia * random.uniform(-1, 1, 3)
+            )
+            moments = second.sum() - second
+            model.inertias[i] = pin.Inertia(body.mass * factor, lever, factor * (axes * moments) @ axes.T)
+        return replace(
+            self, model=model, name=f"{self.name} (perturbed)", source="", options={}, urdf_sha256=""
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The workspace is made anew where the robot is unpickled.
+        return {key: value for key, value in self.__dict__.items() if key != "_data"}
+
+    def __repr__(self) -> str:
+        return f"Robot({self.name!r}, n={self.n})"
+
+
+def find_frame(model: pin.Model, name: str) -> int:
+    """Index of a frame; a link before a joint of the same name, because that is what a person means.
+
+    Raises:
+        UnknownNameError: There is no such frame; Pinocchio itself would silently answer with the frame count.
+    """
+    found = [i for i, frame in enumerate(model.frames) if frame.name == name]
+    if not found:
+        raise UnknownNameError("frame", name, dict.fromkeys(frame.name for frame in model.frames))
+    links = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
+    return next((i for i in found if model.frames[i].type in links), found[0])
+
+
+def _limit(values: Array, absent: float) -> JointVector:
+    """Position limits; Pinocchio marks an absent one by the largest float."""
+    return readonly(np.where(np.abs(values) >= 1e30, absent, values))
+
+
+def _bound(values: Array) -> JointVector:
+    """Limits of magnitude; a zero in a URDF says that nobody filled it in."""
+    return readonly(np.where((np.abs(values) >= 1e30) | (values <= 0.0), np.inf, values))

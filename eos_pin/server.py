@@ -1,0 +1,146 @@
+"""The web server behind a live view: one page, one WebSocket, this machine only.
+
+It runs in a thread of the script that shows something. There is no other process that could stay behind, and no
+state that a slow or vanished browser could block.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from typing import Any
+
+import tornado.httpserver
+import tornado.netutil
+import tornado.web
+import tornado.websocket
+
+#: The only interface that is listened on.
+LOOPBACK = "127.0.0.1"
+
+
+class Server:
+    """Serves a page, and sends messages to every browser that shows it.
+
+    Attributes:
+        url: Address of the page.
+        clients: Browsers connected now.
+        seen: Set once a browser has connected.
+    """
+
+    def __init__(self, port: int) -> None:
+        """Listen, on another port if `port` is taken; `serve` starts answering.
+
+        Args:
+            port: Preferred port, 0 for any.
+        """
+        try:
+            self._sockets = tornado.netutil.bind_sockets(port, LOOPBACK)
+        except OSError:
+            self._sockets = tornado.netutil.bind_sockets(0, LOOPBACK)
+        self.port: int = self._sockets[0].getsockname()[1]
+        self.url = f"http://{LOOPBACK}:{self.port}/"
+        self.clients: set[_Browser] = set()
+        self.seen = threading.Event()
+        self.page = b""
+        #: What a browser that connects late is sent first, by kind of message.
+        self.latest: dict[int, bytes] = {}
+        self._closed = False
+
+    def serve(self, page: str) -> None:
+        """Answer from now on, in a thread that ends with the process."""
+        self.page = page.encode()
+        self._loop = asyncio.new_event_loop()
+        self._closing = asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="eos_pin viewer", daemon=True)
+        self._thread.start()
+
+    def send(self, kind: int, message: bytes, *, final: bool = False) -> None:
+        """Send to all browsers; one that is still busy with an earlier message skips this one.
+
+        Args:
+            kind: Kind of message.
+            message: What to send.
+            final: Whether it must not be skipped; messages of other kinds before it are no longer of interest.
+        """
+        if not self._closed:
+            self._loop.call_soon_threadsafe(self._broadcast, kind, message, final)
+
+    def close(self) -> None:
+        """Stop listening and end the thread."""
+        if not self._closed:
+            self._closed = True
+            self._loop.call_soon_threadsafe(self._closing.set)
+            self._thread.join(timeout=5.0)
+
+    def _broadcast(self, kind: int, message: bytes, final: bool) -> None:
+        if final:
+            self.latest.clear()
+        self.latest[kind] = message
+        for browser in self.clients:
+            browser.post(message, final=final)
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._serve())
+        finally:
+            self._loop.close()
+
+    async def _serve(self) -> None:
+        routes: list[Any] = [("/", _Page, {"server": self}), ("/motion", _Browser, {"server": self})]
+        application = tornado.web.Application(log_function=lambda handler: None)
+        # Other host names are refused, so that no web page can reach this server by a name of its own.
+        application.add_handlers(r"127\.0\.0\.1|localhost", routes)
+        server = tornado.httpserver.HTTPServer(application)
+        server.add_sockets(self._sockets)
+        await self._closing.wait()
+        server.stop()
+        for browser in tuple(self.clients):
+            browser.close(1001, "the run has ended")
+        await asyncio.sleep(0.05)
+        await server.close_all_connections()
+
+
+class _Page(tornado.web.RequestHandler):
+    def initialize(self, server: Server) -> None:
+        self.server = server
+
+    def get(self) -> None:
+        self.set_header("Content-Type", "text/html; charset=utf-8")
+        self.set_header("Cache-Control", "no-store")
+        self.write(self.server.page)
+
+
+class _Browser(tornado.websocket.WebSocketHandler):
+    def initialize(self, server: Server) -> None:
+        self.server, self.busy = server, False
+        self.waiting: set[asyncio.Task[None]] = set()
+
+    def open(self, *args: str, **kwargs: str) -> None:
+        self.set_nodelay(True)
+        self.server.clients.add(self)
+        self.server.seen.set()
+        for message in self.server.latest.values():
+            self.post(message, final=True)
+
+    def post(self, message: bytes, *, final: bool) -> None:
+        if final or not self.busy:
+            self.busy = True
+            task = asyncio.ensure_future(self._write(message))
+            self.waiting.add(task)
+            task.add_done_callback(self.waiting.discard)
+
+    async def _write(self, message: bytes) -> None:
+        try:
+            await self.write_message(message, binary=True)
+        except tornado.websocket.WebSocketClosedError:
+            pass  # the browser has gone; on_close has forgotten it or is about to
+        finally:
+            self.busy = False
+
+    def on_message(self, message: str | bytes) -> None:
+        """Browsers have nothing to say."""
+
+    def on_close(self) -> None:
+        self.server.clients.discard(self)
