@@ -32,6 +32,18 @@ def readonly(array: Array) -> Array:
     return copy
 
 
+def numbers(values: VectorLike | float, name: str) -> Array:
+    """Float array of any shape.
+
+    Raises:
+        InputError: Not real numbers.
+    """
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name} must be numbers, got {values!r}") from error
+
+
 def vector(values: VectorLike | float, size: int | None, name: str) -> Vector:
     """Finite float vector of `size` entries.
 
@@ -43,10 +55,7 @@ def vector(values: VectorLike | float, size: int | None, name: str) -> Vector:
     Raises:
         InputError: Not numbers, wrong length, or not finite.
     """
-    try:
-        array = np.asarray(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be numbers, got {values!r}") from error
+    array = numbers(values, name)
     if array.ndim != 1 or (size is not None and array.shape[0] != size):
         wanted = "one-dimensional" if size is None else f"{size} numbers"
         raise InputError(f"{name} must be {wanted}, got shape {array.shape}")
@@ -58,9 +67,8 @@ def vector(values: VectorLike | float, size: int | None, name: str) -> Vector:
 
 def spread(values: VectorLike | float, size: int, name: str) -> Vector:
     """Like `vector`, but one number stands for `size` equal ones (gains, tolerances)."""
-    if np.ndim(values) == 0:
-        return vector(np.full(size, values, dtype=float), size, name)
-    return vector(values, size, name)  # type: ignore[arg-type]
+    array = numbers(values, name)
+    return vector(np.full(size, array) if array.ndim == 0 else array, size, name)
 
 
 def number(value: float, name: str, *, above: float = -np.inf, at_least: float = -np.inf) -> float:
@@ -71,7 +79,7 @@ def number(value: float, name: str, *, above: float = -np.inf, at_least: float =
     """
     try:
         result = float(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} must be a number, got {value!r}") from error
     if not np.isfinite(result) or result <= above or result < at_least:
         bound = f" above {above:g}" if above > -np.inf else f" of at least {at_least:g}" if at_least > -np.inf else ""

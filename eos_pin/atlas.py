@@ -13,7 +13,16 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from eos_pin.arrays import Array, Jacobian, JointVector, SelfMotionVector, VectorLike, number, readonly, vector
+from eos_pin.arrays import (
+    Array,
+    Jacobian,
+    JointVector,
+    SelfMotionVector,
+    VectorLike,
+    number,
+    readonly,
+    vector,
+)
 from eos_pin.charts import Chart, Inverse, walk
 from eos_pin.errors import InputError, InverseError
 from eos_pin.tasks import Point, Task
@@ -74,7 +83,7 @@ class Atlas:
     def __post_init__(self) -> None:
         number(self.threshold, "the chart threshold", above=0.0)
         if self.threshold >= 1.0:
-            raise InputError(f"the chart threshold must be below 1, where every chart would end at once; got {self.threshold}")
+            raise InputError(f"the chart threshold must be below 1, got {self.threshold}: every chart would end at once")
 
     def start(self, q: VectorLike) -> Chart:
         """First chart, based at q with v = 0."""
@@ -106,7 +115,7 @@ class Atlas:
             q: Joints to start from; need not be on the path.
             path: Task points, (K, size).
             v: Self-motion coordinates along the path: constant, (K, r), or a function of the point's number. By default
-                v keeps its value at q. v is zero at the base point of the first chart and continues from chart to chart.
+                v keeps its value at q. It is zero at the base of the first chart and continues from chart to chart.
             chart: First chart; by default the one based at q.
             tol: Largest task error at each point [m, rad].
 
@@ -119,7 +128,9 @@ class Atlas:
         """
         points = np.atleast_2d(np.asarray(path if isinstance(path, np.ndarray) else list(path), dtype=float))
         if points.ndim != 2 or points.shape[1] != self.task.size or not np.isfinite(points).all():
-            raise InputError(f"a path of {self.task!r} must be finite and of shape (K, {self.task.size}), got {points.shape}")
+            raise InputError(
+                f"a path of {self.task!r} must be finite and of shape (K, {self.task.size}), got {points.shape}"
+            )
         chart = chart or self.start(q)
         traveller = _Traveller(self, chart, vector(q, chart.n, "q"), tol)
         v_of = _self_motion(v, traveller.v, len(points))
@@ -180,7 +191,9 @@ class _Traveller:
             return False
         self.iterations += found.iterations
         self.inverse, self.z, self.v = found, z, v
-        if found.iterations > self.atlas.max_iterations or not self.atlas.holds(chart, self.atlas.task.linearize(found.q)[1]):
+        if found.iterations > self.atlas.max_iterations or not self.atlas.holds(
+            chart, self.atlas.task.linearize(found.q)[1]
+        ):
             self._renew(chart)
         return True
 

@@ -15,16 +15,23 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
 from jaxtyping import Float
 from scipy.linalg import lapack
 
-from eos_pin.arrays import Array, Jacobian, JointVector, SelfMotionVector, TaskVector, VectorLike, readonly, vector
-from eos_pin.errors import ChartError, InverseError, SingularError
+from eos_pin.arrays import (
+    Array,
+    Jacobian,
+    JointVector,
+    SelfMotionVector,
+    TaskVector,
+    VectorLike,
+    readonly,
+    vector,
+)
+from eos_pin.errors import ChartError, InverseError
+from eos_pin.linear import RANK_TOLERANCE, check_rank, is_odd, null_space
 from eos_pin.tasks import Point, Task, TaskPoint
 
-#: G' counts as rank deficient where its smallest singular value falls below this fraction of the largest.
-RANK_TOLERANCE = 1e-7
 #: Up to this many joints one n × n solve is cheaper than the m × m form with its extra products.
 DENSE_SOLVE = 16
 
@@ -86,7 +93,7 @@ class Chart:
         q_bar = readonly(vector(q, task.robot.n, "the base configuration q"))
         z_bar, J = task.linearize(q_bar)
         check_rank(J)
-        V = _null_space(J)
+        V = null_space(J)
         v_bar = np.zeros(V.shape[1])
         if previous is not None:
             X, _, Yt = np.linalg.svd(V.T @ previous.V)
@@ -285,9 +292,9 @@ class Chart:
         if reached < 1.0:
             residual = float(np.abs(self.task.minus(self.task.value(current.q), z)).max())
             raise InverseError(
-                f"no joints on this chart have the task point asked for: {reached:.1%} of the way from the known point "
-                f"the chart ends or the point is out of reach (task error {residual:.3g} left after {iterations} Newton "
-                "steps). Start nearer, or follow the path with an Atlas, which changes charts",
+                f"no joints on this chart have the task point asked for: {reached:.1%} of the way from the known "
+                f"point the chart ends or the point is out of reach (task error {residual:.3g} left after {iterations} "
+                "Newton steps). Start nearer, or follow the path with an Atlas, which changes charts",
                 residual,
                 iterations,
             )
@@ -308,13 +315,13 @@ class Chart:
                 z_q = task.value(q)
             error = task.minus(z_q, z)
             residual = max(map(abs, error.tolist()))
-            # A step that leads away has left the neighbourhood of convergence, and perhaps this chart. NaN ends here too.
+            # A step that leads away has left the neighbourhood of convergence, perhaps the chart. NaN ends here too.
             if residual <= tol or not residual < last:
                 break
             last = residual
             if refresh:
                 LU, pivots, B, info = lapack.dgesv(J.dot(U), self._identity)
-                if info or _odd(LU, pivots):
+                if info or is_odd(LU, pivots):
                     # det G'U > 0 at the base point, so it is positive on all of the chart.
                     return Inverse(q, u, start.B, iteration, math.inf)
             u = u + B.dot(error)
@@ -419,39 +426,3 @@ def walk(
         else:
             step *= 0.5
     return reached
-
-
-def check_rank(J: Jacobian) -> None:
-    """Refuse a Jacobian without full rank.
-
-    Raises:
-        SingularError: It has the rank and the singular values.
-    """
-    values = np.linalg.svd(J, compute_uv=False)
-    rank = int((values > RANK_TOLERANCE * values[0]).sum())
-    if rank < J.shape[0]:
-        raise SingularError(
-            f"the task is singular here: its Jacobian has rank {rank} of {J.shape[0]} (singular values "
-            f"{', '.join(f'{s:.2g}' for s in values)}). Move away from this configuration, or drop the lost direction "
-            "from the task",
-            rank,
-            values.tolist(),
-        )
-
-
-def _null_space(J: Jacobian) -> Float[Array, "n r"]:
-    """Orthonormal basis of the null space of J, the same on every machine: the sign of each column is fixed."""
-    m = J.shape[0]
-    V = scipy.linalg.qr(J.T)[0][:, m:]
-    for column in V.T:
-        # The last entry of about the largest size is positive; ties within rounding then cannot flip the sign.
-        size = np.abs(column)
-        if column[np.flatnonzero(size >= 0.5 * size.max())[-1]] < 0.0:
-            column *= -1.0
-    return V
-
-
-def _odd(LU: Array, pivots: Array) -> bool:
-    """Whether the determinant of a factored matrix is negative."""
-    signs = sum(d < 0.0 for d in LU.diagonal().tolist()) + sum(p != i for i, p in enumerate(pivots.tolist()))
-    return signs % 2 == 1

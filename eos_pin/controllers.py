@@ -78,14 +78,18 @@ class TaskController(Controller):
         feedforward: bool = True,
     ) -> None:
         self.task, self.reference, self.feedforward = task, reference, feedforward
-        self.kp, self.kd = (readonly(spread(k, task.m, f"the task gain {name}")) for k, name in ((kp, "kp"), (kd, "kd")))
+        self.kp, self.kd = (
+            readonly(spread(k, task.m, f"the task gain {name}")) for k, name in ((kp, "kp"), (kd, "kd"))
+        )
         target = reference(0.0)
         try:
             task.point(target.z)
         except InputError as error:
             raise InputError(f"the reference does not fit the task: {error}") from error
         if target.dz.shape != (task.m,):
-            raise InputError(f"the reference has {target.dz.size} velocities, but {task!r} has {task.m}; a Hold takes m=")
+            raise InputError(
+                f"the reference has {target.dz.size} velocities, but {task!r} has {task.m}; a Hold takes m="
+            )
 
     @property
     def robot(self) -> Robot:

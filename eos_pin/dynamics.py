@@ -63,7 +63,7 @@ class ExtendedDynamics:
         return force
 
     def acceleration(self, tau: JointVector, task_force: TaskVector | None = None) -> JointVector:
-        """ddw = H⁻¹(M⁻¹(R + F^y + G'ᵀF^z) − E), without forming H, M or E; Eq. (30), corrected.
+        """Ddw = H⁻¹(M⁻¹(R + F^y + G'ᵀF^z) − E), without forming H, M or E; Eq. (30), corrected.
 
         Args:
             tau: Joint torques F^y [N m or N].
@@ -99,7 +99,7 @@ class TaskSpaceDynamics:
 
     @cached_property
     def _factor(self) -> tuple[Array, bool]:
-        return scipy.linalg.cho_factor(self.robot.mass(self.q))  # type: ignore[no-any-return]
+        return scipy.linalg.cho_factor(self.robot.mass(self.q))
 
     @cached_property
     def _M_inverse_Jt(self) -> Float[Array, "n m"]:

@@ -87,6 +87,10 @@ class ResultError(EosError):
     """A result file is damaged, foreign, or of a version that cannot be read."""
 
 
+class OutputError(EosError):
+    """A file cannot be written."""
+
+
 class ViewerError(EosError):
     """The viewer cannot show what was asked."""
 

@@ -1,4 +1,4 @@
-"""The robots that can be loaded by name: those eos_pin brings, and every URDF of the installed example-robot-data."""
+"""The robots that can be loaded by name: those eos_pin brings, and all of the installed example-robot-data."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from eos_pin.errors import RobotError, UnknownNameError
 PREFIX = "example-robot-data:"
 
 BUNDLED = {
-    "ppr": "planar robot of Sec. 4.3: two sliders and a link, one degree of redundancy for its tip",
-    "planar_chain_10": "planar robot of Sec. 6: two sliders and eight links, eight degrees of redundancy for its tip",
+    "ppr": "planar, Sec. 4.3: two sliders and a link; one degree of redundancy",
+    "planar_chain_10": "planar, Sec. 6: two sliders and eight links; eight degrees of redundancy",
 }
 
 
@@ -42,12 +42,8 @@ def available_robots() -> tuple[NamedRobot, ...]:
 
 def example_robots() -> Path | None:
     """Folder of the installed example-robot-data, or None without it."""
-    examples = _examples()
-    return (
-        next((folder for folder in examples[0].path.parents if folder.name == "example-robot-data"), None)
-        if examples
-        else None
-    )
+    folders = (folder for robot in _examples()[:1] for folder in robot.path.parents)
+    return next((folder for folder in folders if folder.name == "example-robot-data"), None)
 
 
 def find_robot(name: str) -> NamedRobot | None:

@@ -22,21 +22,12 @@ from eos_pin.robot import Robot, find_frame
 from eos_pin.shapes import Shapes, quiet, resolve_shapes
 from eos_pin.urdf import Urdf, read_urdf
 
+T = TypeVar("T")
+
 #: Words in the name of a frame that say it is where the robot works, the best first.
 WORKING_FRAMES = (
-    "tcp",
-    "tool",
-    "grasp",
-    "grasping",
-    "ee",
-    "eef",
-    "effector",
-    "gripper",
-    "tip",
-    "flange",
-    "palm",
-    "hand",
-)
+    "tcp", "tool", "grasp", "grasping", "ee", "eef", "effector", "gripper", "tip", "flange", "palm", "hand"
+)  # fmt: skip
 #: Words in the name of a joint that say it belongs to a hand, not to the arm that carries it.
 HAND_JOINTS = {"gripper", "finger", "thumb", "index", "middle", "ring", "little", "pinky", "hand", "jaw"}
 
@@ -47,16 +38,17 @@ class Tool:
 
     Attributes:
         frame: Frame of the robot that carries it.
-        placement: Its pose in that frame: a `pin.SE3`, a 4 × 4 matrix, or a position (x, y, z) [m]; kept as a matrix.
+        placement: Its pose in that frame, given as a `pin.SE3`, a 4 × 4 matrix or a position (x, y, z) [m], and
+            kept as a matrix.
         name: Name of the new frame.
     """
 
     frame: str
-    placement: pin.SE3 | VectorLike = (0.0, 0.0, 0.0)
+    placement: pin.SE3 | VectorLike | Sequence[Sequence[float]] = (0.0, 0.0, 0.0)
     name: str = "tool"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "placement", _placement(self.placement))
+        object.__setattr__(self, "placement", _pose(self.placement))
 
     def as_dict(self) -> dict[str, Any]:
         """The same in numbers, strings and lists."""
@@ -69,9 +61,10 @@ class Payload:
 
     Attributes:
         mass: Mass [kg].
-        frame: Frame it is fixed to; that of a tool, too.
+        frame: Frame it is fixed to, possibly that of the tool.
         com: Centre of mass in that frame [m].
-        inertia: Rotational inertia about the centre of mass, in the axes of that frame [kg m²]; None for a point mass.
+        inertia: Rotational inertia about the centre of mass, along the axes of that frame [kg m²]; without it
+            the body is a point mass.
     """
 
     mass: float
@@ -80,20 +73,20 @@ class Payload:
     inertia: Float[Array, "3 3"] | Sequence[Sequence[float]] | None = None
 
     def __post_init__(self) -> None:
-        inertia = np.zeros((3, 3)) if self.inertia is None else np.asarray(self.inertia, dtype=float)
+        inertia = readonly(np.zeros((3, 3)) if self.inertia is None else np.asarray(self.inertia))
         if inertia.shape != (3, 3) or not np.isfinite(inertia).all() or not np.allclose(inertia, inertia.T):
-            raise InputError(f"inertia of a payload must be a symmetric 3 × 3 matrix, got {self.inertia!r}")
-        object.__setattr__(self, "mass", number(self.mass, "mass of the payload", at_least=0.0))
-        object.__setattr__(self, "com", readonly(vector(self.com, 3, "centre of mass of the payload")))
-        object.__setattr__(self, "inertia", readonly(inertia))
+            raise InputError(f"inertia of a payload must be a symmetric 3 × 3 matrix, got {inertia.tolist()}")
+        object.__setattr__(self, "inertia", inertia)
+        object.__setattr__(self, "mass", number(self.mass, "mass of a payload", at_least=0.0))
+        object.__setattr__(self, "com", readonly(vector(self.com, 3, "centre of mass of a payload")))
         if not _is_physical(self.spatial):
             raise InputError(
-                f"no body has the inertia {inertia.tolist()}: each principal moment is at most the sum of the others"
+                f"no body has the inertia {inertia.tolist()}: a principal moment exceeds the sum of the others"
             )
 
     @property
     def spatial(self) -> pin.Inertia:
-        """Spatial inertia in the frame that carries it."""
+        """Spatial inertia in the frame it is fixed to."""
         return pin.Inertia(self.mass, np.asarray(self.com), np.asarray(self.inertia))
 
     def as_dict(self) -> dict[str, Any]:
@@ -117,42 +110,38 @@ def load_robot(
     `load_robot(robot.source, **robot.options)` gives the same robot again.
 
     Args:
-        source: Path of a URDF; or a name of `available_robots()`, which may start with `example-robot-data:`.
-        lock: Joints to hold fixed: their names, held at 0 or at the limit nearest to it, or a mapping of name to
-            position [rad or m].
-        chain_to: Frame to which the chain from the base is kept; all other joints are locked, and what they carry
+        source: Path of a URDF, or a name of `available_robots()`, with or without `example-robot-data:`.
+        lock: Joints to hold fixed: names, each held at 0 or the limit nearest to it, or a mapping of names to
+            positions [rad or m].
+        chain_to: Frame to which the joints from the base are kept. All others are locked, and what they carry
             stays as a rigid part. `"auto"` takes `default_frame`.
         package_dirs: Folders in which to look for meshes first.
         tool: Frame to add.
         payload: Body to add.
-        gravity: Acceleration of gravity [m/s²], a vector, or g for (0, 0, −g); None for 9.81 downwards.
+        gravity: Acceleration of gravity [m/s²]: a vector, or g for (0, 0, −g); by default 9.81 downwards.
 
     Raises:
         RobotError: The file cannot be used, or its model cannot be controlled; says why.
         UnknownNameError: No such robot, joint or frame; names what is near.
         InputError: An argument is no number, or out of its range.
     """
-    tool = _from_mapping(Tool, tool)
-    payload = _from_mapping(Payload, payload)
+    tool, payload = _made(Tool, tool), _made(Payload, payload)
     folders = [Path(os.path.abspath(folder)) for folder in package_dirs]
-    path, origin = _find(source)
+    path, canonical = _find(source)
     urdf = read_urdf(path)
     if chain_to == "auto":
         chain_to = _default_frame(_build(urdf, urdf.rewritten({})))
-    locked = _locked(urdf, lock, tool.frame if tool and chain_to == tool.name else chain_to)
-    kept = [name for name in urdf.moving if name not in locked]
-    notes = _check_kept(urdf, kept, bool(chain_to))
+    locked = _locked(urdf, lock, tool.frame if tool is not None and chain_to == tool.name else chain_to)
+    notes = _check_joints(urdf, locked, is_chain=bool(chain_to))
     root = urdf.rewritten(locked)
     model = _build(urdf, root)
-    notes += _check_inertias(model) + resolve_shapes(root, path, folders)
+    notes += _odd_inertias(model) + resolve_shapes(root, path, folders)
     if tool is not None:
         _add_frame(model, tool.name, tool.frame, pin.SE3(np.asarray(tool.placement)), pin.Inertia.Zero())
     if payload is not None:
         _add_frame(model, "payload", payload.frame, pin.SE3.Identity(), payload.spatial)
     options: dict[str, Any] = {
-        "lock": {name: float(value) for name, value in lock.items()}
-        if isinstance(lock, Mapping)
-        else _names(lock),
+        "lock": {name: float(x) for name, x in lock.items()} if isinstance(lock, Mapping) else _names(lock),
         "chain_to": chain_to,
         "package_dirs": [str(folder) for folder in folders],
         "tool": tool and tool.as_dict(),
@@ -161,8 +150,8 @@ def load_robot(
     robot = Robot(
         model,
         name=urdf.name,
-        source=origin,
-        options={key: value for key, value in options.items() if value not in ("", None, [], {})},
+        source=canonical,
+        options={key: value for key, value in options.items() if value},
         urdf_sha256=urdf.sha256,
         notes=notes,
         shapes=Shapes(etree.tostring(root, encoding="unicode")),
@@ -176,14 +165,27 @@ def leaf_frames(robot: Robot) -> tuple[str, ...]:
 
 
 def default_frame(robot: Robot) -> str:
-    """The frame a person most likely means: at the end of a long branch, and named like a place to work with."""
-    return _default_frame(robot.model)
+    """The frame a person most likely means: what the chain was loaded to, or where the longest arm ends."""
+    return str(robot.options.get("chain_to") or _default_frame(robot.model))
 
 
-T = TypeVar("T")
+# -- arguments ---------------------------------------------------------------------------------------------------
 
 
-def _from_mapping(kind: type[T], value: T | Mapping[str, Any] | None) -> T | None:
+def _find(source: str | Path) -> tuple[Path, str]:
+    """The URDF file, and what to call it so that it is found again."""
+    if isinstance(source, str):
+        if (named := find_robot(source)) is not None:
+            return named.path, named.name
+        looks_like_path = source.endswith((".urdf", ".xml", ".xacro")) or os.path.isabs(source)
+        if not looks_like_path and not os.path.exists(source):
+            names = [robot.name for robot in available_robots()]
+            raise UnknownNameError("robot", source, names, "The path of a URDF file works as well.")
+    path = Path(os.path.abspath(os.path.expanduser(source)))
+    return path, str(path)
+
+
+def _made(kind: type[T], value: T | Mapping[str, Any] | None) -> T | None:
     """The value itself, or made from what its `as_dict` gave."""
     if not isinstance(value, Mapping):
         return value
@@ -193,79 +195,62 @@ def _from_mapping(kind: type[T], value: T | Mapping[str, Any] | None) -> T | Non
         raise InputError(f"no {kind.__name__} can be made from {dict(value)!r}: {error}") from error
 
 
-# -- steps of loading --------------------------------------------------------------------------------------------
-
-
-def _find(source: str | Path) -> tuple[Path, str]:
-    """File and canonical source of what the caller asked for."""
-    if isinstance(source, str):
-        named = find_robot(source)
-        if named is not None:
-            return named.path, named.name
-        if not (
-            source.endswith((".urdf", ".xml", ".xacro")) or os.path.isabs(source) or os.path.exists(source)
-        ):
-            advice = "A path to a URDF file works as well."
-            raise UnknownNameError("robot", source, [robot.name for robot in available_robots()], advice)
-    path = Path(os.path.abspath(source))
-    return path, str(path)
-
-
 def _names(lock: str | Sequence[str]) -> list[str]:
     return [lock] if isinstance(lock, str) else list(lock)
 
 
 def _locked(urdf: Urdf, lock: str | Sequence[str] | Mapping[str, float], frame: str) -> dict[str, float]:
-    """Position of every joint that is held fixed."""
-    given = lock if isinstance(lock, Mapping) else dict.fromkeys(_names(lock), None)
-    locked: dict[str, float] = {}
-    outside = set(urdf.moving) - set(urdf.chain(frame)) if frame else set()
-    for name in [*given, *(outside - set(given))]:
-        if name not in urdf.moving:
-            raise UnknownNameError("joint that moves", name, urdf.moving)
-        joint, value = urdf.joints[name], given.get(name)
-        if value is None:
-            locked[name] = 0.0 if joint.unlimited else float(np.clip(0.0, joint.lower, joint.upper))
-            continue
-        locked[name] = number(value, f"position of locked joint {name!r}")
-        if not joint.moves and value != 0.0:
-            raise InputError(f"joint {name!r} is {joint.kind}; it can be locked at 0 only, got {value!r}")
-        if not (joint.unlimited or joint.lower <= value <= joint.upper):
-            raise InputError(
-                f"joint {name!r} moves from {joint.lower:g} to {joint.upper:g}; it cannot be locked at {value!r}"
-            )
-    return locked
+    """Position of every joint that is held fixed, by `lock` or because it is not on the way to `frame`."""
+    given = dict(lock) if isinstance(lock, Mapping) else dict.fromkeys(_names(lock))
+    kept = urdf.chain(frame) if frame else urdf.moving
+    return {name: _position(urdf, name, given.get(name)) for name in (*given, *set(urdf.moving).difference(kept))}
 
 
-def _check_kept(urdf: Urdf, kept: Sequence[str], is_chain: bool) -> tuple[str, ...]:
-    """Refuse joints that stay and cannot be controlled; notes about those that are taken for something else."""
+def _position(urdf: Urdf, name: str, value: float | None) -> float:
+    """Where a joint is locked: at `value`, or as near to 0 as it can be."""
+    if name not in urdf.moving:
+        raise UnknownNameError("joint that moves", name, urdf.moving)
+    joint = urdf.joints[name]
+    if not joint.has_one_degree and value:
+        raise InputError(f"joint {name!r} is {joint.kind}; it can be locked at 0 only, got {value!r}")
+    lower, upper = (-np.inf, np.inf) if joint.unlimited else (joint.lower, joint.upper)
+    position = float(np.clip(0.0, lower, upper)) if value is None else number(value, f"position of joint {name!r}")
+    if not lower <= position <= upper:
+        raise InputError(f"joint {name!r} moves from {lower:g} to {upper:g} and cannot be locked at {position:g}")
+    return position
+
+
+# -- building ----------------------------------------------------------------------------------------------------
+
+
+def _check_joints(urdf: Urdf, locked: Mapping[str, float], *, is_chain: bool) -> tuple[str, ...]:
+    """Refuse joints that stay and cannot be controlled; notes about those taken for something else."""
     notes = []
-    for name in kept:
-        joint = urdf.joints[name]
-        where = f"{urdf.path} line {joint.line}"
-        if not joint.moves:
+    for joint in (urdf.joints[name] for name in urdf.moving if name not in locked):
+        where = f"{urdf.path} line {joint.line}: joint {joint.name!r}"
+        if not joint.has_one_degree:
             raise RobotError(
-                f"{where}: joint {name!r} is {joint.kind}; eos_pin controls revolute, continuous and prismatic joints. "
-                "Lock it, or load the chain to one frame (chain_to)"
+                f"{where} is {joint.kind}; eos_pin controls revolute, continuous and prismatic joints. Lock it, or "
+                "load the chain to one frame"
             )
         if joint.mimics and is_chain:
             raise RobotError(
-                f"{where}: joint {name!r} mimics {joint.mimics!r} and lies inside the chain, so it has no torque of its "
-                "own. Lock it, or choose a frame before it"
+                f"{where} mimics {joint.mimics!r} and has no torque of its own, but lies inside the chain. Lock it, "
+                "or load the chain to a frame before it"
             )
         if joint.mimics:
-            notes.append(f"joint {name!r} mimics {joint.mimics!r} in the URDF; here it is a joint of its own")
+            notes.append(f"joint {joint.name!r} should mimic {joint.mimics!r}; here it moves on its own")
         if joint.kind == "continuous":
-            notes.append(f"continuous joint {name!r} is a revolute one without limits")
+            notes.append(f"continuous joint {joint.name!r} is a revolute one without limits")
         elif joint.unlimited:
-            notes.append(f"the limits of joint {name!r} leave it no room (0 to 0); it is taken to have none")
+            notes.append(f"the limits of joint {joint.name!r} are 0 to 0, which is taken for none")
     return tuple(notes)
 
 
 def _build(urdf: Urdf, root: etree._Element) -> pin.Model:
-    """Pinocchio's model of a checked description."""
+    """Pinocchio's model of a checked description; what could spoil it and concerns only shapes is not part of it."""
     bare = copy.deepcopy(root)
-    etree.strip_elements(bare, "visual", "collision", with_tail=False)
+    etree.strip_elements(bare, "visual", "collision", "material", with_tail=False)
     with quiet() as said:
         try:
             return pin.buildModelFromXML(etree.tostring(bare, encoding="unicode"))
@@ -274,51 +259,44 @@ def _build(urdf: Urdf, root: etree._Element) -> pin.Model:
     raise RobotError(f"{urdf.path}: Pinocchio cannot build a model of it: {reason} {said[0]}") from reason
 
 
-def _check_inertias(model: pin.Model) -> tuple[str, ...]:
-    """Notes about moving bodies whose inertia no real body has; M(q) is checked by `Robot`."""
+def _odd_inertias(model: pin.Model) -> tuple[str, ...]:
+    """Note about moving bodies that cannot exist. They do no harm while M(q) > 0, and `Robot` checks that."""
     odd = [model.names[i] for i in range(1, model.njoints) if not _is_physical(model.inertias[i])]
-    if not odd:
-        return ()
-    return (
-        f"the inertia of what joints {', '.join(odd)} move is that of no real body (a principal moment exceeds the sum of "
-        "the other two); it is used as it stands",
-    )
+    return (f"what joints {', '.join(odd)} move has an inertia no real body has; used as it stands",) if odd else ()
 
 
 def _is_physical(inertia: pin.Inertia) -> bool:
-    """Whether mass and principal moments are those of some distribution of matter."""
+    """Whether a distribution of mass has this inertia: no principal moment exceeds the sum of the others."""
     moments = np.linalg.eigvalsh(inertia.inertia)
-    # Half the sum of the moments is the largest each may be; many files state them to three digits.
-    return bool(inertia.mass >= 0.0 and 0.5 * moments.sum() - moments[-1] >= -1e-3 * np.abs(moments).max())
+    # Many files state moments to three digits.
+    return bool(inertia.mass >= 0.0 and moments.sum() - 2.0 * moments[-1] >= -2e-3 * np.abs(moments).max())
 
 
 def _add_frame(model: pin.Model, name: str, parent: str, placement: pin.SE3, inertia: pin.Inertia) -> None:
     """Add a frame, and a body in it, to a model that is still being built."""
-    if name in {frame.name for frame in model.frames}:
-        raise InputError(f"the robot already has a frame named {name!r}; choose another name")
-    parent_id = find_frame(model, parent)
-    carrier = model.frames[parent_id]
-    pose = carrier.placement * placement
-    model.addFrame(pin.Frame(name, carrier.parentJoint, parent_id, pose, pin.FrameType.OP_FRAME, inertia))
+    if model.existFrame(name):
+        raise InputError(f"the robot already has a frame named {name!r}")
+    i = find_frame(model, parent)
+    joint, pose = model.frames[i].parentJoint, model.frames[i].placement * placement
+    model.addFrame(pin.Frame(name, joint, i, pose, pin.FrameType.OP_FRAME, inertia))
 
 
-def _placement(value: pin.SE3 | VectorLike) -> Float[Array, "4 4"]:
-    """Pose as a matrix, from any of the forms people have it in."""
+def _pose(value: pin.SE3 | VectorLike | Sequence[Sequence[float]]) -> Float[Array, "4 4"]:
+    """A pose as matrix, from any of the forms people have it in."""
     if isinstance(value, pin.SE3):
         return readonly(value.homogeneous)
-    array = np.asarray(value, dtype=float)
-    if array.shape == (3,):
-        matrix = np.eye(4)
-        matrix[:3, 3] = vector(array, 3, "position of the tool")
-        return readonly(matrix)
-    is_pose = (
-        array.shape == (4, 4) and np.isfinite(array).all() and np.array_equal(array[3], [0.0, 0.0, 0.0, 1.0])
-    )
-    if not is_pose or not pin.SE3(array).isNormalized(1e-6) or np.linalg.det(array[:3, :3]) < 0.0:
-        raise InputError(
-            f"placement of a tool must be a pin.SE3, a 4 × 4 pose or a position (x, y, z), got {value!r}"
-        )
-    return readonly(array)
+    matrix = np.asarray(value, dtype=float)
+    if matrix.shape == (3,):
+        matrix = pin.SE3(np.eye(3), matrix).homogeneous
+    if (
+        matrix.shape != (4, 4)
+        or not np.isfinite(matrix).all()
+        or not np.array_equal(matrix[3], (0.0, 0.0, 0.0, 1.0))
+        or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-6)
+        or np.linalg.det(matrix[:3, :3]) < 0.0
+    ):
+        raise InputError(f"a placement is a pin.SE3, a 4 × 4 pose or a position (x, y, z), got {value!r}")
+    return readonly(matrix)
 
 
 # -- frames ------------------------------------------------------------------------------------------------------
@@ -330,26 +308,25 @@ def _leaves(model: pin.Model) -> tuple[str, ...]:
 
 
 def _default_frame(model: pin.Model) -> str:
-    """Frame at the end of the most arm joints; among these by the best name, then the one farthest out."""
-    # A hand is where such names go on to the end: an index finger, but not an index of sections before an arm.
+    """Frame behind the most joints of an arm; among these the one with the best name."""
+    # A hand is where such names go on to the end; `elbow_ring` with an arm behind it is none.
     is_hand = [not HAND_JOINTS.isdisjoint(_words(name)) for name in model.names]
-    for i in range(model.njoints - 1, 0, -1):
-        is_hand[i] &= all(is_hand[j] for j in model.children[i])
+    for i in reversed(range(1, model.njoints)):
+        is_hand[i] = is_hand[i] and all(is_hand[child] for child in model.children[i])
     if all(is_hand[1:]):
         is_hand = [False] * model.njoints
     leaves = set(_leaves(model))
 
     def merit(frame: pin.Frame) -> tuple[bool, int, int, bool]:
-        joints = [i for i in model.supports[frame.parentJoint] if i]
-        beyond_hand = any(is_hand[i] for i in joints)
+        joints = model.supports[frame.parentJoint]
         words = _words(frame.name)
         rank = next((i for i, word in enumerate(WORKING_FRAMES) if word in words), len(WORKING_FRAMES))
-        return not beyond_hand, len(joints), -rank, frame.name in leaves
+        return not any(is_hand[i] for i in joints), len(joints), -rank, frame.name in leaves
 
-    bodies = [frame for frame in model.frames if frame.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME)]
-    return max(bodies, key=merit).name
+    links = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
+    return str(max((frame for frame in model.frames if frame.type in links), key=merit).name)
 
 
 def _words(name: str) -> set[str]:
-    """Words of a name like `LeftHand_link2`, in lower case."""
+    """Words of a name such as `LeftHand_link2`, in lower case."""
     return {word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}

@@ -56,7 +56,9 @@ class Track(Objective):
         if self._ready is None or self._ready[0].size != r:
             reference = self.reference or Hold([0.0] * r)  # type: ignore[arg-type]
             vector(reference(0.0).z, r, "v_d")
-            kp, kd = (readonly(spread(k, r, f"the self-motion gain {name}")) for k, name in ((self.kp, "kp"), (self.kd, "kd")))
+            kp, kd = (
+                readonly(spread(k, r, f"the self-motion gain {name}")) for k, name in ((self.kp, "kp"), (self.kd, "kd"))
+            )
             self._ready = kp, kd, reference
         return self._ready
 

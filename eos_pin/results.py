@@ -10,12 +10,10 @@ import csv
 import io
 import json
 import math
-import os
 import platform
 import sys
-import tempfile
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from importlib import metadata
 from pathlib import Path
@@ -26,6 +24,7 @@ from jaxtyping import Float, Int
 
 from eos_pin.arrays import Array, Vector
 from eos_pin.errors import InputError, ResultError
+from eos_pin.files import write_atomically
 from eos_pin.loading import load_robot
 from eos_pin.robot import Robot
 from eos_pin.tasks import task_from
@@ -117,7 +116,7 @@ class Result:
 
     @property
     def settled_row(self) -> int:
-        """First row that counts as after transients: the end of the first cycle, or half the run if there is only one."""
+        """First row after transients: that of the end of the first cycle, or of half the run if there is only one."""
         if self.cycles > 1:
             return int(self.cycle_rows[1])
         return int(np.searchsorted(self.t, 0.5 * (self.t[0] + self.t[-1]))) if len(self.t) else 0
@@ -198,7 +197,7 @@ class Result:
         )
         scale = max(np.ptp(energy), np.ptp(self.work), self.kinetic_energy.max(), 1e-12)
         found["torque"] = _largest(torque) / max(_largest(self.tau), 1e-12)
-        found["power"] = _largest(energy - energy[0] - (self.work - self.work[0])) / scale
+        found["power"] = _largest(energy - energy[0] - (self.work - self.work[0])) / float(scale)
         return found
 
     def load_plant(self) -> Robot:
@@ -224,7 +223,7 @@ class Result:
         """Write everything to one `.npz`; a file that was there is replaced at once or not at all.
 
         Raises:
-            ResultError: The file cannot be written.
+            OutputError: The file cannot be written.
         """
         path = Path(path)
         if path.suffix != ".npz":
@@ -258,7 +257,15 @@ class Result:
                 if header.get("format") != FORMAT:
                     raise ResultError(f"{path} has format {header.get('format')!r}, this version reads {FORMAT!r}")
                 arrays = {name: file[name] for name in _ARRAYS}
-        except (OSError, ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as error:
+        except (
+            OSError,
+            ValueError,
+            KeyError,
+            EOFError,
+            AttributeError,
+            TypeError,
+            zipfile.BadZipFile,
+        ) as error:
             raise ResultError(
                 f"{path} cannot be read as a result of eos_pin: {error or type(error).__name__}. Results are the .npz "
                 "files that `eos-pin track` and Result.save write"
@@ -269,9 +276,7 @@ class Result:
     def to_csv(self, path: str | Path) -> Path:
         """Write the samples as a table, a row per time and a named column per number."""
         path = Path(path)
-        columns = {
-            name: getattr(self, name) for name in _ARRAYS if name != "switches" and np.size(getattr(self, name))
-        }
+        columns = {name: getattr(self, name) for name in _ARRAYS if name != "switches" and np.size(getattr(self, name))}
         names: list[str] = []
         for name, array in columns.items():
             names += [name] if array.ndim == 1 else [f"{name}{i + 1}" for i in range(array.shape[1])]
@@ -289,32 +294,6 @@ class Result:
 
 
 _ARRAYS = tuple(f.name for f in fields(Result) if f.name not in ("period", "status", "message", "info"))
-
-
-def write_atomically(path: str | Path, write: Callable[[IO[bytes]], None]) -> None:
-    """Write a file beside `path` and rename it there, so that `path` is never half a file.
-
-    Raises:
-        ResultError: The file cannot be written.
-    """
-    path = Path(path)
-    temporary = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            temporary = Path(file.name)
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(path)
-    except OSError as error:
-        raise ResultError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
 
 
 def provenance() -> dict[str, Any]:

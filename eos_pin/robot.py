@@ -93,15 +93,15 @@ class Robot:
             raise RobotError(f"robot {self.name!r} has no moving joints; eos_pin needs at least one")
         if self.n > MOST_JOINTS:
             raise RobotError(
-                f"robot {self.name!r} has {self.n} joints, and the workspace Pinocchio makes for them would take "
-                f"{64e-9 * self.n**3:.0f} GB. Up to {MOST_JOINTS} are possible: lock some, or load the chain to one frame"
+                f"robot {self.name!r} has {self.n} joints, for which Pinocchio's workspace would take "
+                f"{64e-9 * self.n**3:.0f} GB; up to {MOST_JOINTS} are possible. Lock some, or load one chain"
             )
         for i, joint in enumerate(self.model.joints):
             if i and (joint.nq, joint.nv) != (1, 1):
                 raise RobotError(
-                    f"joint {self.model.names[i]!r} ({joint.shortname()}) has nq = {joint.nq}, nv = {joint.nv}; eos_pin "
-                    "controls robots whose joints are all revolute, continuous or prismatic. Lock the joint, or load "
-                    "the chain to one frame"
+                    f"joint {self.model.names[i]!r} ({joint.shortname()}) has nq = {joint.nq}, nv = {joint.nv}; "
+                    "eos_pin controls robots whose joints are all revolute, continuous or prismatic. Lock the joint, "
+                    "or load the chain to one frame"
                 )
         self._check_inertia()
 
@@ -112,9 +112,7 @@ class Robot:
         names = self.model.names
         weightless = [names[i + 1] for i in range(self.n) if not M[i, i] > 0.0]
         if not np.isfinite(M).all():
-            raise RobotError(
-                f"robot {self.name!r} has a mass matrix that is not finite: check the <inertial> elements"
-            )
+            raise RobotError(f"robot {self.name!r} has a mass matrix that is not finite: check the <inertial> elements")
         if weightless:
             raise RobotError(
                 f"robot {self.name!r} cannot be controlled by torque: joints {', '.join(weightless)} move no mass "
@@ -124,8 +122,8 @@ class Robot:
         eigenvalues = np.linalg.eigvalsh(M * scale * scale[:, None])
         if not eigenvalues[0] > SINGULAR_MASS * eigenvalues[-1]:
             raise RobotError(
-                f"robot {self.name!r} has a mass matrix that is not positive definite at {q.tolist()} (eigenvalues from "
-                f"{eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g} after scaling): check the <inertial> elements"
+                f"robot {self.name!r} has a mass matrix that is not positive definite at {q.tolist()} (eigenvalues "
+                f"from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g} after scaling): check the <inertial> elements"
             )
 
     # -- what the robot is ---------------------------------------------------------------------------------------
@@ -187,151 +185,6 @@ class Robot:
             UnknownNameError: There is no such frame; Pinocchio itself would silently answer with the frame count.
         """
         return find_frame(self.model, name)
-
-    @property
-    def visual(self) -> pin.GeometryModel:
-        """What a person sees."""
-
-    @property
-    def collision(self) -> pin.GeometryModel:
-        """What distances are computed from."""
-
-
-@dataclass(frozen=True, eq=False)
-class Robot:
-    """A serial robot: n one-degree-of-freedom joints, its inertia, and its shape.
-
-    Made by `eos_pin.load_robot`, or directly from a `pin.Model` whose joints all have one degree of freedom; the
-    model is copied, so the caller's stays as it is.
-
-    Attributes:
-        model: Pinocchio model; treat it as read-only.
-        name: Name of the robot.
-        source: Where it was loaded from, in a form `load_robot` takes; empty if built in memory.
-        options: The arguments of `load_robot` beside `source`, so that a saved run can find its robot again.
-        urdf_sha256: Hash of the URDF text; empty if built in memory.
-        notes: What loading changed or could not find, in sentences for people.
-        shapes: What has its visual and its collision geometry, read when first asked for; None without shapes.
-
-    Raises:
-        RobotError: No joints, a joint with other than one degree of freedom, or M(q) singular.
-    """
-
-    model: pin.Model
-    name: str = ""
-    source: str = ""
-    options: Mapping[str, Any] = field(default_factory=dict)
-    urdf_sha256: str = ""
-    notes: tuple[str, ...] = ()
-    shapes: HasShapes | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "model", self.model.copy())
-        object.__setattr__(self, "name", self.name or self.model.name)
-        if self.n == 0:
-            raise RobotError(f"robot {self.name!r} has no moving joints; eos_pin needs at least one")
-        if self.n > MOST_JOINTS:
-            raise RobotError(
-                f"robot {self.name!r} has {self.n} joints, and the workspace Pinocchio makes for them would take "
-                f"{64e-9 * self.n**3:.0f} GB. Up to {MOST_JOINTS} are possible: lock some, or load the chain to one frame"
-            )
-        for i, joint in enumerate(self.model.joints):
-            if i and (joint.nq, joint.nv) != (1, 1):
-                raise RobotError(
-                    f"joint {self.model.names[i]!r} ({joint.shortname()}) has nq = {joint.nq}, nv = {joint.nv}; eos_pin "
-                    "controls robots whose joints are all revolute, continuous or prismatic. Lock the joint, or load "
-                    "the chain to one frame"
-                )
-        self._check_inertia()
-
-    def _check_inertia(self) -> None:
-        """Refuse a model whose mass matrix cannot be inverted, and name the joints that move no mass."""
-        q = np.clip(np.zeros(self.n), self.lower, self.upper)
-        M = self.mass(q)
-        names = self.model.names
-        weightless = [names[i + 1] for i in range(self.n) if not M[i, i] > 0.0]
-        if not np.isfinite(M).all():
-            raise RobotError(
-                f"robot {self.name!r} has a mass matrix that is not finite: check the <inertial> elements"
-            )
-        if weightless:
-            raise RobotError(
-                f"robot {self.name!r} cannot be controlled by torque: joints {', '.join(weightless)} move no mass "
-                "(M(q) is singular). Give the links beyond them an <inertial>, or lock these joints"
-            )
-        scale = 1.0 / np.sqrt(np.diag(M))
-        eigenvalues = np.linalg.eigvalsh(M * scale * scale[:, None])
-        if not eigenvalues[0] > SINGULAR_MASS * eigenvalues[-1]:
-            raise RobotError(
-                f"robot {self.name!r} has a mass matrix that is not positive definite at {q.tolist()} (eigenvalues from "
-                f"{eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g} after scaling): check the <inertial> elements"
-            )
-
-    # -- what the robot is ---------------------------------------------------------------------------------------
-
-    @cached_property
-    def n(self) -> int:
-        """Number of joints."""
-        return int(self.model.nv)
-
-    @cached_property
-    def joints(self) -> tuple[Joint, ...]:
-        """The joints, in the order of q."""
-        return tuple(
-            Joint(
-                name=self.model.names[i + 1],
-                kind=self._kind(i),
-                lower=float(self.lower[i]),
-                upper=float(self.upper[i]),
-                velocity=float(self.velocity[i]),
-                effort=float(self.effort[i]),
-            )
-            for i in range(self.n)
-        )
-
-    def _kind(self, i: int) -> str:
-        if self.model.joints[i + 1].shortname().startswith("JointModelP"):
-            return "prismatic"
-        return "revolute" if np.isfinite(self.lower[i]) or np.isfinite(self.upper[i]) else "continuous"
-
-    @cached_property
-    def lower(self) -> JointVector:
-        """Lower position limits [rad or m]; −inf where there is none."""
-        return _limit(self.model.lowerPositionLimit, -np.inf)
-
-    @cached_property
-    def upper(self) -> JointVector:
-        """Upper position limits [rad or m]; inf where there is none."""
-        return _limit(self.model.upperPositionLimit, np.inf)
-
-    @cached_property
-    def velocity(self) -> JointVector:
-        """Velocity limits [rad/s or m/s]; inf where the URDF states none or zero."""
-        return _bound(self.model.velocityLimit)
-
-    @cached_property
-    def effort(self) -> JointVector:
-        """Torque limits [N m or N]; inf where the URDF states none or zero."""
-        return _bound(self.model.effortLimit)
-
-    @cached_property
-    def frames(self) -> tuple[str, ...]:
-        """Names of all frames a task can use, from the base to the tip."""
-        return tuple(dict.fromkeys(frame.name for frame in self.model.frames))
-
-    def frame_id(self, name: str) -> int:
-        """Index of the frame `name`.
-
-        Raises:
-            UnknownNameError: There is no such frame; Pinocchio itself would silently answer with the frame count.
-        """
-        if not self.model.existFrame(name):
-            raise UnknownNameError("frame", name, self.frames)
-        # A joint and a link may share one name; the link is what a person means.
-        for i, frame in enumerate(self.model.frames):
-            if frame.name == name and frame.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME):
-                return i
-        return int(self.model.getFrameId(name))
 
     @property
     def visual(self) -> pin.GeometryModel | None:
@@ -400,7 +253,7 @@ class Robot:
         if np.ndim(gravity) == 0:
             gravity = [0.0, 0.0, -number(gravity, "gravity")]  # type: ignore[arg-type]
         model = self.model.copy()
-        field = vector(gravity, 3, "gravity")  # type: ignore[arg-type]
+        field = vector(gravity, 3, "gravity")
         model.gravity = pin.Motion(field, np.zeros(3))
         return replace(self, model=model, options={**self.options, "gravity": field.tolist()})
 
@@ -425,14 +278,10 @@ class Robot:
             lever = body.lever * (1.0 + com * random.uniform(-1, 1, 3))
             # Second moments stay positive, so the result is the inertia of a real body.
             moments, axes = np.linalg.eigh(body.inertia)
-            second = np.maximum(0.5 * moments.sum() - moments, 0.0) * (
-                1.0 + inertia * random.uniform(-1, 1, 3)
-            )
+            second = np.maximum(0.5 * moments.sum() - moments, 0.0) * (1.0 + inertia * random.uniform(-1, 1, 3))
             moments = second.sum() - second
             model.inertias[i] = pin.Inertia(body.mass * factor, lever, factor * (axes * moments) @ axes.T)
-        return replace(
-            self, model=model, name=f"{self.name} (perturbed)", source="", options={}, urdf_sha256=""
-        )
+        return replace(self, model=model, name=f"{self.name} (perturbed)", source="", options={}, urdf_sha256="")
 
     def __getstate__(self) -> dict[str, Any]:
         # The workspace is made anew where the robot is unpickled.

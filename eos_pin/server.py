@@ -7,11 +7,11 @@ state that a slow or vanished browser could block.
 from __future__ import annotations
 
 import asyncio
+import socket
 import threading
 from typing import Any
 
 import tornado.httpserver
-import tornado.netutil
 import tornado.web
 import tornado.websocket
 
@@ -35,10 +35,11 @@ class Server:
             port: Preferred port, 0 for any.
         """
         try:
-            self._sockets = tornado.netutil.bind_sockets(port, LOOPBACK)
+            self._socket = socket.create_server((LOOPBACK, port))
         except OSError:
-            self._sockets = tornado.netutil.bind_sockets(0, LOOPBACK)
-        self.port: int = self._sockets[0].getsockname()[1]
+            self._socket = socket.create_server((LOOPBACK, 0))
+        self._socket.setblocking(False)
+        self.port: int = self._socket.getsockname()[1]
         self.url = f"http://{LOOPBACK}:{self.port}/"
         self.clients: set[_Browser] = set()
         self.seen = threading.Event()
@@ -93,7 +94,7 @@ class Server:
         # Other host names are refused, so that no web page can reach this server by a name of its own.
         application.add_handlers(r"127\.0\.0\.1|localhost", routes)
         server = tornado.httpserver.HTTPServer(application)
-        server.add_sockets(self._sockets)
+        server.add_socket(self._socket)
         await self._closing.wait()
         server.stop()
         for browser in tuple(self.clients):

@@ -1,7 +1,7 @@
 """The shapes of a robot: where its meshes are, and its geometry, read when somebody first looks at it.
 
 Reading the meshes of an arm takes a hundred times longer than building its model, so it waits until a viewer or a
-distance needs them. That they exist is checked at once: what is missing is left out, and said.
+distance needs them. Whether they exist is checked at once: what is missing is left out, and said.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from eos_pin.library import example_robots
 from eos_pin.urdf import Checker
 
 #: The shapes a URDF can have, and how many numbers each of their attributes holds.
-SHAPES = {
+SHAPES: dict[str, dict[str, int]] = {
     "box": {"size": 3},
     "cylinder": {"radius": 1, "length": 1},
     "sphere": {"radius": 1},
@@ -41,7 +41,7 @@ _stderr = threading.Lock()
 
 @contextmanager
 def quiet() -> Iterator[list[str]]:
-    """Catch what C++ libraries write on the error stream, which `sys.stderr` never sees; the list holds it afterwards."""
+    """Catch what C++ libraries write on the error stream; `sys.stderr` never sees it. The list holds it after."""
     said: list[str] = []
     with _stderr, tempfile.TemporaryFile() as file:
         if sys.stderr is not None:
@@ -59,7 +59,7 @@ def quiet() -> Iterator[list[str]]:
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """Visual and collision geometry of a robot; shared by all its copies.
+    """Visual and collision geometry of a robot; all its copies share it.
 
     Attributes:
         urdf: Text of a URDF in which each mesh has an absolute path, as `resolve_shapes` makes it.
@@ -83,33 +83,33 @@ class Shapes:
             try:
                 return pin.buildGeomFromUrdfString(model, self.urdf, kind, package_dirs=[])
             except ValueError:
-                # A mesh file is damaged; Pinocchio gives up on all of them, so find out which.
-                root, damaged = _without_damaged(self.urdf)
-                geometry = pin.buildGeomFromUrdfString(model, root, kind, package_dirs=[])
-        warnings.warn(f"meshes that cannot be read are left out: {', '.join(damaged)}", stacklevel=3)
+                # One damaged mesh makes Pinocchio give up on all, so find out which it is.
+                urdf, damaged = _without_damaged(self.urdf)
+                geometry = pin.buildGeomFromUrdfString(model, urdf, kind, package_dirs=[])
+        warnings.warn(f"left out meshes that cannot be read: {', '.join(damaged)}", stacklevel=4)
         return geometry
 
     def __getstate__(self) -> dict[str, Any]:
-        # Meshes are read anew where the robot is unpickled, if they are needed there.
+        # Where the robot is unpickled, meshes are read anew when they are needed.
         return {"urdf": self.urdf}
 
 
 def _without_damaged(urdf: str) -> tuple[str, list[str]]:
-    """The URDF without the shapes whose mesh cannot be read, and the names of these files."""
+    """The URDF without the shapes whose mesh file cannot be read, and these files."""
     root = etree.fromstring(urdf)
     readable: dict[str, bool] = {}
     for mesh in list(root.iter("mesh")):
-        name = mesh.get("filename", "")
-        if name not in readable:
+        file = str(mesh.get("filename"))
+        if file not in readable:
             try:
-                coal.MeshLoader().load(name, np.ones(3))
-                readable[name] = True
+                coal.MeshLoader().load(file, np.ones(3))
+                readable[file] = True
             except (ValueError, RuntimeError):
-                readable[name] = False
-        if not readable[name]:
+                readable[file] = False
+        if not readable[file]:
             shape = mesh.getparent().getparent()
             shape.getparent().remove(shape)
-    return etree.tostring(root, encoding="unicode"), [name for name, good in readable.items() if not good]
+    return etree.tostring(root, encoding="unicode"), [file for file, good in readable.items() if not good]
 
 
 def resolve_shapes(root: etree._Element, path: Path, package_dirs: Sequence[Path]) -> tuple[str, ...]:
@@ -123,55 +123,56 @@ def resolve_shapes(root: etree._Element, path: Path, package_dirs: Sequence[Path
     Returns:
         What was dropped and why, in sentences.
     """
+    _tidy_materials(root)
     checker = Checker(path)
-    missing: dict[str, int] = {}
     notes: list[str] = []
-    materials: set[str] = set()
-    for material in root.findall("material"):
-        if material.get("name") in materials or not material.get("name"):
-            root.remove(material)
-        materials.add(material.get("name", ""))
-    for texture in list(root.iter("texture")):
-        texture.getparent().remove(texture)
-    found: dict[str, Path | None] = {}
+    files: dict[str, Path | None] = {}
     for link in root.findall("link"):
         for shape in link.findall("visual") + link.findall("collision"):
-            for material in shape.findall("material"):
-                if not material.get("name"):
-                    shape.remove(material)
             try:
-                mesh = _check_shape(checker, shape)
+                mesh = _mesh_of(shape, checker)
             except RobotError as error:
-                notes.append(f"a {shape.tag} shape of link {link.get('name')!r} is left out: {error}")
+                notes.append(f"a {shape.tag} of link {link.get('name')!r} is left out: {error}")
                 link.remove(shape)
                 continue
             if mesh is None:
                 continue
             name = mesh.get("filename", "")
-            if name not in found:
-                found[name] = find_mesh(name, path, package_dirs)
-            if (file := found[name]) is not None:
-                mesh.set("filename", str(file))
-            else:
-                missing[name] = missing.get(name, 0) + 1
+            if name not in files:
+                files[name] = find_mesh(name, path, package_dirs)
+            if files[name] is None:
                 link.remove(shape)
+            else:
+                mesh.set("filename", str(files[name]))
+    missing = [name for name, file in files.items() if file is None]
     if missing:
-        looked = ", ".join(str(folder) for folder in package_dirs) or "no package_dirs given"
+        first = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
+        given = ", ".join(map(str, package_dirs)) or "none given"
         notes.append(
-            f"{len(missing)} mesh files were not found and are left out ({', '.join(list(missing)[:3])}"
-            f"{', ...' if len(missing) > 3 else ''}); looked in package_dirs ({looked}), the folders above {path}, "
-            "ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and example-robot-data"
+            f"{len(missing)} mesh files were not found and are left out ({first}); looked in package_dirs ({given}), "
+            f"the folders above {path}, ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and example-robot-data"
         )
     return tuple(notes)
 
 
-def _check_shape(checker: Checker, shape: etree._Element) -> etree._Element | None:
-    """The mesh of a shape, None if it is another kind, or a `RobotError` if it cannot be read."""
+def _tidy_materials(root: etree._Element) -> None:
+    """Drop what makes the parser refuse a whole link, or file: nameless and repeated materials, and textures."""
+    names: set[str] = set()
+    for material in list(root.iter("material")):
+        name, parent = material.get("name"), material.getparent()
+        if not name or (parent is root and name in names):
+            parent.remove(material)
+        elif parent is root:
+            names.add(name)
+    etree.strip_elements(root, "texture", with_tail=False)
+
+
+def _mesh_of(shape: etree._Element, checker: Checker) -> etree._Element | None:
+    """The mesh of a `<visual>` or `<collision>`; None if it is another shape, `RobotError` if it is none."""
     geometry = shape.find("geometry")
-    body = None if geometry is None or not len(geometry) else geometry[0]
-    if body is None or body.tag not in SHAPES:
-        kind = "no geometry" if body is None else f"a <{body.tag}>"
-        raise checker.fail(shape, f"it has {kind}; known are {', '.join(SHAPES)}")
+    body = geometry[0] if geometry is not None and len(geometry) else shape
+    if body.tag not in SHAPES:
+        raise checker.fail(body, f"its geometry is none of {', '.join(SHAPES)}")
     checker.origin(shape)
     for key, count in SHAPES[body.tag].items():
         if min(checker.numbers(body, key, count)) <= 0.0:
@@ -184,56 +185,51 @@ def _check_shape(checker: Checker, shape: etree._Element) -> etree._Element | No
 
 
 def find_mesh(name: str, urdf: Path, package_dirs: Sequence[Path]) -> Path | None:
-    """File that the mesh name of a URDF means, or None.
+    """File that the name of a mesh means, or None.
 
     Args:
-        name: `package://package/file`, `file://...`, an absolute or a relative path.
+        name: `package://package/file`, `file://...`, or an absolute or relative path.
         urdf: The URDF file it stands in.
         package_dirs: Folders to look in first.
     """
     scheme, _, rest = name.rpartition("://")
-    for candidate in _candidates(scheme, rest, urdf, package_dirs):
-        try:
-            if candidate.is_file():
-                return candidate
-        except (OSError, ValueError):
-            continue
-    return _guess(name, urdf)
+    # Unlike Path.is_file, os.path.isfile takes a folder that may not be read, or an impossible name, for a no.
+    found = (path for path in _candidates(scheme, rest, urdf, package_dirs) if os.path.isfile(path))
+    return next(found, None) or _guess(name, urdf)
 
 
 def _candidates(scheme: str, rest: str, urdf: Path, package_dirs: Sequence[Path]) -> Iterator[Path]:
     if scheme not in ("package", "model"):
-        # An absolute name replaces the folder before the slash operator.
+        # Joined to a folder, an absolute path stays itself.
         yield from (folder / rest for folder in (urdf.parent, *package_dirs))
         return
     package, _, inside = rest.partition("/")
-    for folder in (*package_dirs, *urdf.parents, *_environment()):
+    for folder in (*package_dirs, *urdf.parents, *_installed()):
         yield folder / rest
         if folder.name == package:
             yield folder / inside
 
 
-def _environment() -> Iterator[Path]:
-    """Folders of packages that are installed, in the order ROS looks at them."""
-    for folder in filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)):
-        yield Path(folder)
-    for folder in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
-        yield Path(folder) / "share"
-    if (share := example_robots()) is not None:
-        yield from (share.parent, share / "robots")
+def _installed() -> Iterator[Path]:
+    """Folders that hold installed packages: of ROS 1, of ROS 2, of example-robot-data."""
+    for variable, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
+        for folder in filter(None, os.environ.get(variable, "").split(os.pathsep)):
+            yield Path(folder, below)
+    if (examples := example_robots()) is not None:
+        yield from (examples.parent, examples / "robots")
 
 
 def _guess(name: str, urdf: Path) -> Path | None:
-    """What yourdfpy's search finds: it also tries every folder above the URDF without the name of the package."""
-    # Imported only here: it takes longer than all of the loading (0.4 s), and most robots never need it.
+    """What the search of yourdfpy finds: it tries all folders above the URDF without the package's name, too."""
+    # Imported here only: it takes 0.4 s, far more than all the rest of loading, and few robots need it.
     from yourdfpy.urdf import filename_handler_magic
 
     log = logging.getLogger("yourdfpy.urdf")
-    before, log.disabled = log.disabled, True
+    was_disabled, log.disabled = log.disabled, True
     try:
-        file = Path(filename_handler_magic(name, str(urdf.parent)))
-        return file if file.is_file() else None
+        file = filename_handler_magic(name, str(urdf.parent))
+        return Path(file) if os.path.isfile(file) else None
     except (OSError, ValueError, TypeError):
         return None
     finally:
-        log.disabled = before
+        log.disabled = was_disabled

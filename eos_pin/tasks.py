@@ -9,7 +9,6 @@ rows of J are those of a point and of an angular velocity in the axes of the wor
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
@@ -18,8 +17,8 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from eos_pin.arrays import Array, Jacobian, JointVector, TaskVector, Vector, vector
-from eos_pin.errors import InputError
+from eos_pin.arrays import Array, Jacobian, JointVector, TaskVector, vector
+from eos_pin.errors import InputError, UnknownNameError
 from eos_pin.robot import Robot
 
 #: A flat task point, `Task.size` numbers.
@@ -27,7 +26,10 @@ Point: TypeAlias = Float[np.ndarray, " size"]
 #: What a caller may give for a point: numbers, a rotation or homogeneous matrix, a `pin.SE3`.
 PointLike: TypeAlias = "Sequence[float] | Array | pin.SE3"
 
-_WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+#: The axes of velocities and Jacobians.
+WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+
+_KINDS: dict[str, type[Task]] = {}
 
 
 class TaskPoint(NamedTuple):
@@ -55,6 +57,8 @@ class Task(ABC):
         size: Length of the flat array z; m for a vector task, more for a rotation or a pose.
         labels: Name of each of the m coordinates.
         units: Unit of each of the m coordinates.
+        kind: Name of the kind of task, given where the class is defined.
+        arguments: Names of what its constructor takes besides the robot; attributes of the same names keep it.
     """
 
     robot: Robot
@@ -62,6 +66,15 @@ class Task(ABC):
     size: int
     labels: tuple[str, ...]
     units: tuple[str, ...]
+    kind: str = ""
+    arguments: tuple[str, ...] = ()
+
+    def __init_subclass__(cls, kind: str = "", **rest: Any) -> None:
+        """Make the task known to `task_from` under the name `kind`."""
+        super().__init_subclass__(**rest)
+        if kind:
+            cls.kind = kind
+            _KINDS[kind] = cls
 
     def __init__(self, robot: Robot, labels: Sequence[str], units: Sequence[str], size: int | None = None) -> None:
         self.robot = robot
@@ -111,7 +124,7 @@ class Task(ABC):
     # -- the group the points live in; a vector space unless a task says otherwise ----------------------------------
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
-        """Step that leads from z0 to z1, so that `plus(z0, minus(z1, z0))` is z1 [m, rad]."""
+        """Step that leads from z0 to z1 [m, rad]; `plus` undoes it."""
         return z1 - z0
 
     def plus(self, z: Point, delta: TaskVector) -> Point:
@@ -122,269 +135,30 @@ class Task(ABC):
         """Time derivative of the local coordinates `delta = minus(z, z_bar)` where z moves with velocity dz."""
         return dz
 
+    def local_margin(self, delta: TaskVector) -> float:
+        """Positive where `delta` is well inside the domain of the local coordinates; 1 at its centre."""
+        return 1.0
+
     def point(self, value: PointLike) -> Point:
         """Flat task point from what a person writes.
 
         Raises:
             InputError: Wrong shape, not finite, or not a rotation.
         """
-        return vector(value, self.size, f"a point of {self!r}")  # type: ignore[arg-type]
+        return vector(value, self.size, f"a point of {self!r}")
 
     # -- identity ----------------------------------------------------------------------------------------------------
 
-    @abstractmethod
     def describe(self) -> dict[str, Any]:
         """Plain values from which `task_from` makes the same task on the same robot."""
+        return {"kind": self.kind} | {name: getattr(self, name) for name in self.arguments}
 
     def __repr__(self) -> str:
         words = [f"{key}={value!r}" for key, value in self.describe().items() if key != "kind" and value]
         return f"{type(self).__name__}({', '.join(words)})"
 
 
-class PositionTask(Task):
-    """Position of a frame's origin along some axes of the world [m].
-
-    Args:
-        robot: The robot.
-        frame: Frame whose origin is placed.
-        axes: Which coordinates count, such as `"xyz"`, `"xy"` or `"z"`.
-    """
-
-    def __init__(self, robot: Robot, frame: str, axes: str = "xyz") -> None:
-        self.frame, self.axes = frame, axes
-        self._rows = _rows(axes)
-        self._id = robot.frame_id(frame)
-        super().__init__(robot, list(axes), ["m"] * len(axes))
-
-    def _z(self, data: pin.Data) -> Point:
-        return pin.updateFramePlacement(self._model, data, self._id).translation[self._rows].copy()
-
-    def _J(self, data: pin.Data) -> Jacobian:
-        return pin.getFrameJacobian(self._model, data, self._id, _WORLD)[:3][self._rows]
-
-    def _drift(self, data: pin.Data) -> TaskVector:
-        return pin.getFrameClassicalAcceleration(self._model, data, self._id, _WORLD).linear[self._rows]
-
-    def describe(self) -> dict[str, Any]:
-        return {"kind": "position", "frame": self.frame, "axes": self.axes}
-
-
-class RelativePositionTask(PositionTask):
-    """Position of a frame's origin seen from another frame, in that frame's axes [m].
-
-    The reference frame may be fixed (a table) or move with the robot (the other hand of a two-armed robot).
-
-    Args:
-        robot: The robot.
-        frame: Frame whose origin is placed.
-        reference: Frame it is seen from.
-        axes: Which coordinates count, such as `"xyz"`.
-    """
-
-    def __init__(self, robot: Robot, frame: str, reference: str, axes: str = "xyz") -> None:
-        self.reference = reference
-        self._reference_id = robot.frame_id(reference)
-        super().__init__(robot, frame, axes)
-
-    def _z(self, data: pin.Data) -> Point:
-        frame = pin.updateFramePlacement(self._model, data, self._id)
-        reference = pin.updateFramePlacement(self._model, data, self._reference_id)
-        return reference.actInv(frame).translation[self._rows].copy()
-
-    def _J(self, data: pin.Data) -> Jacobian:
-        R, rho, J, J_ref = self._relative(data)
-        return (R.T @ (J[:3] - J_ref[:3] + pin.skew(rho) @ J_ref[3:]))[self._rows]
-
-    def _drift(self, data: pin.Data) -> TaskVector:
-        R, rho, _, _ = self._relative(data)
-        velocity, acceleration = (
-            [read(self._model, data, i, _WORLD) for i in (self._id, self._reference_id)]
-            for read in (pin.getFrameVelocity, pin.getFrameClassicalAcceleration)
-        )
-        omega, alpha = velocity[1].angular, acceleration[1].angular
-        slide = velocity[0].linear - velocity[1].linear - np.cross(omega, rho)
-        # Acceleration seen from a frame that turns: minus Euler, centrifugal and Coriolis terms.
-        seen = (
-            acceleration[0].linear
-            - acceleration[1].linear
-            - np.cross(alpha, rho)
-            - np.cross(omega, np.cross(omega, rho))
-            - 2.0 * np.cross(omega, slide)
-        )
-        return (R.T @ seen)[self._rows]
-
-    def _relative(self, data: pin.Data) -> tuple[Array, Array, Array, Array]:
-        frame = pin.updateFramePlacement(self._model, data, self._id)
-        reference = pin.updateFramePlacement(self._model, data, self._reference_id)
-        J, J_ref = (pin.getFrameJacobian(self._model, data, i, _WORLD) for i in (self._id, self._reference_id))
-        return reference.rotation.copy(), frame.translation - reference.translation, J, J_ref
-
-    def describe(self) -> dict[str, Any]:
-        return {"kind": "relative_position", "frame": self.frame, "reference": self.reference, "axes": self.axes}
-
-
-class OrientationTask(Task):
-    """Orientation of a frame on SO(3) [rad].
-
-    z is the rotation matrix, dz the angular velocity in world axes, `minus(R1, R0)` the rotation vector of R1 R0ᵀ.
-
-    Args:
-        robot: The robot.
-        frame: Frame that is oriented.
-    """
-
-    def __init__(self, robot: Robot, frame: str) -> None:
-        self.frame = frame
-        self._id = robot.frame_id(frame)
-        super().__init__(robot, ("rx", "ry", "rz"), ["rad"] * 3, 9)
-
-    def _z(self, data: pin.Data) -> Point:
-        return pin.updateFramePlacement(self._model, data, self._id).rotation.flatten()
-
-    def _J(self, data: pin.Data) -> Jacobian:
-        return pin.getFrameJacobian(self._model, data, self._id, _WORLD)[3:]
-
-    def _drift(self, data: pin.Data) -> TaskVector:
-        return pin.getFrameClassicalAcceleration(self._model, data, self._id, _WORLD).angular
-
-    def minus(self, z1: Point, z0: Point) -> TaskVector:
-        return pin.log3(z1.reshape(3, 3).dot(z0.reshape(3, 3).T))
-
-    def plus(self, z: Point, delta: TaskVector) -> Point:
-        return pin.exp3(delta).dot(z.reshape(3, 3)).ravel()
-
-    def local_rate(self, delta: TaskVector, dz: TaskVector) -> TaskVector:
-        # Jlog3 is for a velocity in the moving frame; transposed it is for one in the frame at rest.
-        return pin.Jlog3(pin.exp3(delta)).T.dot(dz)
-
-    def point(self, value: PointLike) -> Point:
-        return _rotation(value.rotation if isinstance(value, pin.SE3) else value, f"a point of {self!r}")
-
-    def describe(self) -> dict[str, Any]:
-        return {"kind": "orientation", "frame": self.frame}
-
-
-class PoseTask(Task):
-    """Pose of a frame on SE(3): position [m] and orientation [rad].
-
-    z is the position followed by the rotation matrix, dz = (velocity of the origin, angular velocity) in world axes.
-    `minus` is the logarithm whose curves are straight lines with a constant axis of rotation: the geodesics of SE(3).
-
-    Args:
-        robot: The robot.
-        frame: Frame that is placed.
-    """
-
-    def __init__(self, robot: Robot, frame: str) -> None:
-        self.frame = frame
-        self._id = robot.frame_id(frame)
-        super().__init__(robot, ("x", "y", "z", "rx", "ry", "rz"), ["m"] * 3 + ["rad"] * 3, 12)
-
-    def _z(self, data: pin.Data) -> Point:
-        placement = pin.updateFramePlacement(self._model, data, self._id)
-        z = np.empty(12)
-        z[:3] = placement.translation
-        z[3:] = placement.rotation.ravel()
-        return z
-
-    def _J(self, data: pin.Data) -> Jacobian:
-        return pin.getFrameJacobian(self._model, data, self._id, _WORLD)
-
-    def _drift(self, data: pin.Data) -> TaskVector:
-        return pin.getFrameClassicalAcceleration(self._model, data, self._id, _WORLD).vector
-
-    def minus(self, z1: Point, z0: Point) -> TaskVector:
-        delta = np.empty(6)
-        delta[:3] = z1[:3] - z0[:3]
-        delta[3:] = pin.log3(z1[3:].reshape(3, 3).dot(z0[3:].reshape(3, 3).T))
-        return delta
-
-    def plus(self, z: Point, delta: TaskVector) -> Point:
-        return np.concatenate((z[:3] + delta[:3], pin.exp3(delta[3:]).dot(z[3:].reshape(3, 3)).ravel()))
-
-    def local_rate(self, delta: TaskVector, dz: TaskVector) -> TaskVector:
-        return np.concatenate((dz[:3], pin.Jlog3(pin.exp3(delta[3:])).T.dot(dz[3:])))
-
-    def point(self, value: PointLike) -> Point:
-        name = f"a point of {self!r}"
-        if not isinstance(value, pin.SE3):
-            array = np.asarray(value, dtype=float)
-            if array.shape != (4, 4):
-                array = vector(array, 12, f"{name}, a pin.SE3, a 4 × 4 matrix or a flat point,")
-                return np.concatenate((array[:3], _rotation(array[3:], name)))
-            value = pin.SE3(np.ascontiguousarray(array[:3, :3]), array[:3, 3].copy())
-        return np.concatenate((vector(value.translation, 3, name), _rotation(value.rotation, name)))
-
-    def describe(self) -> dict[str, Any]:
-        return {"kind": "pose", "frame": self.frame}
-
-
-class HeadingTask(Task):
-    """Heading of a frame on a planar robot: its angle about the world's z axis [rad].
-
-    Args:
-        robot: A robot whose revolute joints all turn about the world's z axis.
-        frame: Frame whose heading counts.
-
-    Raises:
-        InputError: The frame can turn about another axis; use `OrientationTask`.
-    """
-
-    def __init__(self, robot: Robot, frame: str) -> None:
-        self.frame = frame
-        self._id = robot.frame_id(frame)
-        super().__init__(robot, ("heading",), ("rad",))
-        tilting = pin.computeFrameJacobian(self._model, self._data, self._rest, self._id, _WORLD)[3:5]
-        if np.abs(tilting).max() > 1e-9:
-            raise InputError(f"frame {frame!r} of {robot.name!r} also turns about x or y; use OrientationTask")
-
-    def _z(self, data: pin.Data) -> Point:
-        R = pin.updateFramePlacement(self._model, data, self._id).rotation
-        return np.array([math.atan2(R[1, 0], R[0, 0])])
-
-    def _J(self, data: pin.Data) -> Jacobian:
-        return pin.getFrameJacobian(self._model, data, self._id, _WORLD)[5:]
-
-    def _drift(self, data: pin.Data) -> TaskVector:
-        return pin.getFrameClassicalAcceleration(self._model, data, self._id, _WORLD).angular[2:]
-
-    def minus(self, z1: Point, z0: Point) -> TaskVector:
-        return np.array([math.remainder(z1[0] - z0[0], math.tau)])
-
-    def describe(self) -> dict[str, Any]:
-        return {"kind": "heading", "frame": self.frame}
-
-
-class ComTask(Task):
-    """Position of the robot's centre of mass along some axes of the world [m].
-
-    Args:
-        robot: The robot.
-        axes: Which coordinates count, such as `"xyz"` or `"xy"`.
-    """
-
-    def __init__(self, robot: Robot, axes: str = "xyz") -> None:
-        self.axes = axes
-        self._rows = _rows(axes)
-        super().__init__(robot, list(axes), ["m"] * len(axes))
-
-    def _z(self, data: pin.Data) -> Point:
-        # The level is explicit: Pinocchio's shortest form would compute the positions again.
-        pin.centerOfMass(self._model, data, pin.KinematicLevel.POSITION, False)
-        return data.com[0][self._rows].copy()
-
-    def _J(self, data: pin.Data) -> Jacobian:
-        return pin.jacobianCenterOfMass(self._model, data, False)[self._rows]
-
-    def _drift(self, data: pin.Data) -> TaskVector:
-        pin.centerOfMass(self._model, data, pin.KinematicLevel.ACCELERATION, False)
-        return data.acom[0][self._rows].copy()
-
-    def describe(self) -> dict[str, Any]:
-        return {"kind": "com", "axes": self.axes}
-
-
-class StackedTask(Task):
+class StackedTask(Task, kind="stacked"):
     """Several tasks at once, their coordinates one after the other.
 
     Args:
@@ -429,8 +203,11 @@ class StackedTask(Task):
     def local_rate(self, delta: TaskVector, dz: TaskVector) -> TaskVector:
         return np.concatenate([task.local_rate(delta[d], dz[d]) for task, _, d in self._slices])
 
+    def local_margin(self, delta: TaskVector) -> float:
+        return min(task.local_margin(delta[d]) for task, _, d in self._slices)
+
     def point(self, value: PointLike) -> Point:
-        array = vector(value, self.size, f"a point of {self!r}")  # type: ignore[arg-type]
+        array = vector(value, self.size, f"a point of {self!r}")
         return np.concatenate([task.point(array[p]) for task, p, _ in self._slices])
 
     def describe(self) -> dict[str, Any]:
@@ -442,42 +219,16 @@ def task_from(robot: Robot, description: Mapping[str, Any]) -> Task:
 
     Raises:
         InputError: The description is not of a task this version knows.
+        UnknownNameError: The robot has no such frame.
     """
     words = dict(description)
     kind = words.pop("kind", None)
-    if kind == "stacked":
-        return StackedTask([task_from(robot, part) for part in words["tasks"]])
-    kinds = {
-        "position": PositionTask,
-        "relative_position": RelativePositionTask,
-        "orientation": OrientationTask,
-        "pose": PoseTask,
-        "heading": HeadingTask,
-        "com": ComTask,
-    }
     try:
-        return kinds[kind](robot, **words)  # type: ignore[index,abstract]
+        if kind == StackedTask.kind:
+            return StackedTask([task_from(robot, part) for part in words["tasks"]])
+        return _KINDS[kind](robot, **words)
+    except UnknownNameError:
+        raise
     except (KeyError, TypeError) as error:
-        raise InputError(f"not the description of a task: {dict(description)!r}; kinds are {sorted(kinds)}") from error
-
-
-def _rows(axes: str) -> slice:
-    """Rows of a 3-vector that `axes` names; every subset of three is a slice, which reads without copying a list."""
-    rows = ["xyz".find(axis) for axis in axes]
-    if not rows or min(rows) < 0 or rows != sorted(set(rows)):
-        raise InputError(f"axes must be some of 'x', 'y', 'z' in this order, such as 'xyz' or 'xy'; got {axes!r}")
-    step = rows[1] - rows[0] if len(rows) > 1 else 1
-    return slice(rows[0], rows[-1] + 1, step)
-
-
-def _rotation(value: PointLike, name: str) -> Vector:
-    """Flat rotation matrix, its rounding errors removed.
-
-    Raises:
-        InputError: Not 9 numbers, or not orthonormal to 1e-6.
-    """
-    R = vector(np.ravel(np.asarray(value, dtype=float)), 9, f"the rotation of {name}").reshape(3, 3)
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
-        raise InputError(f"the rotation of {name} must be a 3 × 3 matrix with orthonormal columns and determinant 1")
-    X, _, Yt = np.linalg.svd(R)
-    return (X @ Yt).ravel()
+        kinds = ", ".join(sorted(_KINDS))
+        raise InputError(f"not the description of a task: {dict(description)!r}; the kinds are {kinds}") from error

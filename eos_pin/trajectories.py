@@ -13,6 +13,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -73,7 +74,7 @@ class Hold(Trajectory):
         object.__setattr__(self, "_target", Target(self.z, rest, rest))
 
     def __call__(self, t: float) -> Target:
-        return self._target  # type: ignore[attr-defined,no-any-return]
+        return self._target  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
@@ -108,14 +109,16 @@ class Harmonic(Trajectory):
 
     @cached_property
     def _terms(self) -> tuple[list[float], Array]:
-        """Angular frequencies, and the amplitudes in the order sin, cos, sin, cos, …"""
+        """Angular frequencies, and the amplitudes in the order sin, cos, sin, cos and so on."""
         K = len(self.sines)
         amplitudes = np.stack((self.sines, self.cosines), axis=1).reshape(2 * K, -1)
         return [math.tau * (k + 1) / self.period for k in range(K)], amplitudes
 
     def __call__(self, t: float) -> Target:
         frequencies, amplitudes = self._terms
-        value, rate, second = [], [], []
+        value: list[float] = []
+        rate: list[float] = []
+        second: list[float] = []
         for omega in frequencies:
             s, c = math.sin(omega * (t + self.phase)), math.cos(omega * (t + self.phase))
             value += (s, c)
@@ -146,7 +149,11 @@ def circle(start: VectorLike, radius: float, *, period: float, plane: str = "xy"
 
 
 def figure_eight(
-    center: VectorLike, size: float | tuple[float, float] = 1.0, *, period: float = math.tau, plane: str = "xy"
+    center: VectorLike,
+    size: float | tuple[float, float] = 1.0,
+    *,
+    period: float = math.tau,
+    plane: str = "xy",
 ) -> Harmonic:
     """The paper's figure eight, z = center + (a sin ωt, b sin ωt cos ωt); Eqs. (34), (42).
 
@@ -251,7 +258,9 @@ def spline_from_csv(path: str | Path) -> Spline:
                 raise InputError(f"{path}, line {i}: every entry must be a number, got {row}") from None
             continue
         if len(row) != len(rows[0]) or len(row) < 2:
-            raise InputError(f"{path}, line {i}: expected {max(len(rows[0]), 2)} columns (t, z1, …, zm), got {len(row)}")
+            raise InputError(
+                f"{path}, line {i}: expected {max(len(rows[0]), 2)} columns (t, z1, …, zm), got {len(row)}"
+            )
     if len(rows) < 2:
         raise InputError(f"{path}: a path needs at least two rows t, z1, …, zm; found {len(rows)}")
     table = np.array(rows)
@@ -279,7 +288,7 @@ class Geodesic(Trajectory):
         object.__setattr__(self, "points", readonly(points))
         object.__setattr__(self, "times", readonly(times))
         object.__setattr__(self, "duration", float(times[-1]))
-        steps = [self.task.minus(b, a) for a, b in zip(points[:-1], points[1:], strict=True)]
+        steps = [self.task.minus(b, a) for a, b in pairwise(points)]
         object.__setattr__(self, "_steps", steps)
 
     def __call__(self, t: float) -> Target:

@@ -10,7 +10,7 @@ import base64
 import gzip
 import importlib.util
 import os
-import tempfile
+import secrets
 import time
 import webbrowser
 from functools import cache
@@ -52,17 +52,17 @@ def write_html(
     """
     path = Path(path)
     html = page(scene.pack(*sampled(scene.robot, t, q, rate=fps)))
+    beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         try:
-            with open(handle, "w", encoding="utf-8") as file:
-                file.write(html)
-            os.replace(name, path)
-        except BaseException:
-            os.unlink(name)
-            raise
+            beside.write_text(html, encoding="utf-8")
+            beside.replace(path)
+        finally:
+            beside.unlink(missing_ok=True)
     except OSError as error:
-        raise ViewerError(f"cannot write {path}: {error.strerror}. Choose a folder that exists and is writable") from error
+        raise ViewerError(
+            f"cannot write {path}: {error.strerror}; choose a folder that exists and is writable"
+        ) from error
     return path
 
 
@@ -103,7 +103,9 @@ class Viewer:
         packed = scene.pack(*sampled(scene.robot, [t], np.array([vector(q, scene.robot.n, "q")]), rate=fps))
         self._server = Server(port)
         self.url = self._server.url
-        self._server.serve(page(packed, connect=f"ws://{LOOPBACK}:{self._server.port} ws://localhost:{self._server.port}"))
+        self._server.serve(
+            page(packed, connect=f"ws://{LOOPBACK}:{self._server.port} ws://localhost:{self._server.port}")
+        )
         self._time, self._due, self._sent = t, time.monotonic(), -np.inf
 
     @property
@@ -169,7 +171,7 @@ def page(packed: bytes, *, connect: str = "'none'") -> str:
 
 @cache
 def _meshcat() -> str:
-    """meshcat's JavaScript, found without importing its Python side and the servers that come with it."""
+    """JavaScript of meshcat, found without importing its Python side and the servers that come with it."""
     found = importlib.util.find_spec("meshcat")
     if found is None or found.origin is None:
         raise ViewerError("meshcat is not installed; run: pip install meshcat")

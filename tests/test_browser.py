@@ -21,7 +21,6 @@ import pytest
 from PIL import Image
 from tornado.websocket import websocket_connect
 
-from eos_pin.loading import load_robot
 from eos_pin.robot import Robot
 from eos_pin.scene import Obstacle, Scene
 from eos_pin.viewer import Viewer, write_html
@@ -31,11 +30,11 @@ pytestmark = [
     pytest.mark.browser,
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine; install the package chromium"),
 ]
-FLAGS = (
-    "--headless --no-sandbox --disable-gpu --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic "
-    "--no-first-run --disable-background-networking --disable-component-update --disable-sync --mute-audio "
-    "--window-size=1000,640 --remote-debugging-port=0"
-).split()
+FLAGS = [
+    *("--headless", "--no-sandbox", "--disable-gpu", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+    *("--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update"),
+    *("--disable-sync", "--mute-audio", "--window-size=1000,640", "--remote-debugging-port=0"),
+]
 
 
 class Chromium:
@@ -80,6 +79,11 @@ class Page:
         self.number += 1
         return self.loop.run_until_complete(asyncio.wait_for(self._do(method, parameters), 30))
 
+    async def _disconnect(self) -> None:
+        self.socket.close()
+        while await self.socket.read_message() is not None:
+            pass
+
     async def _do(self, method: str, parameters: dict[str, Any]) -> dict[str, Any]:
         await self.socket.write_message(json.dumps({"id": self.number, "method": method, "params": parameters}))
         while True:
@@ -121,7 +125,7 @@ class Page:
         ]
 
     def close(self) -> None:
-        self.socket.close()
+        self.loop.run_until_complete(self._disconnect())
         with urlopen(f"{self.base}/close/{self.tab['id']}", timeout=10):
             pass
 
@@ -142,12 +146,7 @@ def chromium() -> Iterator[Chromium]:
 
 
 @pytest.fixture(scope="module")
-def panda() -> Robot:
-    return load_robot("panda", chain_to="panda_hand")
-
-
-@pytest.fixture(scope="module")
-def motion(panda: Robot) -> tuple[np.ndarray, np.ndarray]:
+def motion() -> tuple[np.ndarray, np.ndarray]:
     t = np.linspace(0.0, 10.0, 401)
     rest = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.8, 0.8])
     return t, rest + 0.4 * np.sin(0.2 * np.pi * t[:, None] * np.array([1, 2, 1, 2, 1, 2, 1]))
@@ -198,7 +197,9 @@ def test_replay_makes_no_request(chromium: Chromium, replay: str) -> None:
     assert all(url.startswith(("file://", "data:", "blob:")) for url in page.requests())
     assert len([url for url in page.requests() if url.startswith("file://")]) == 1
     # Even a page that wanted to could not.
-    assert page.js("fetch('http://127.0.0.1:9/').then(() => 'sent', e => 'refused').then(r => window.outcome = r), 0") == 0
+    assert (
+        page.js("fetch('http://127.0.0.1:9/').then(() => 'sent', e => 'refused').then(r => window.outcome = r), 0") == 0
+    )
     wait_for(lambda: page.js("window.outcome"), 5.0)
     assert page.js("window.outcome") == "refused"
     assert not any("127.0.0.1:9" in url for url in page.requests())

@@ -1,0 +1,404 @@
+"""The command line: `eos-pin`, and the `run` that every script shares."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+from eos_pin.arrays import JointVector, vector
+from eos_pin.atlas import Atlas
+from eos_pin.charts import Chart
+from eos_pin.errors import EosError, InputError, SingularError
+from eos_pin.files import write_atomically
+from eos_pin.library import available_robots
+from eos_pin.loading import leaf_frames
+from eos_pin.options import ControllerName, ControlOptions, PathOptions, RobotOptions, RunOptions, TaskOptions
+from eos_pin.report import Output, console, deliver, figure, grid, run_table, scene_of, stderr, write_json
+from eos_pin.results import Result
+from eos_pin.robot import Robot
+from eos_pin.tasks import Task
+from eos_pin.trajectories import spline_from_csv
+
+
+def track(
+    robot: RobotOptions,
+    task: TaskOptions = TaskOptions(),
+    path: PathOptions = PathOptions(),
+    control: ControlOptions = ControlOptions(),
+    simulation: RunOptions = RunOptions(),
+    output: Output = Output(),
+) -> int:
+    """Make a robot follow a path under EOS control; print, save and replay what happened.
+
+    Files go to runs/ROBOT-TASK unless --out says otherwise: run.npz, summary.json, replay.html, overview.png.
+
+    For example:
+
+      eos-pin track panda
+      eos-pin track panda --task pose --swing 0.5 --view
+      eos-pin track path/to/robot.urdf --frame tool0 --path circle --size 0.1 --cycles 5
+      eos-pin track panda --rate 1000 --noise 1e-5 --model-error 0.1 --torque-limits
+    """
+    machine = robot.load()
+    goal, q = task.make(machine)
+    reference = path.make(goal, q)
+    controller = control.make(goal, reference, q)
+    title = f"{machine.name}, {task.task}"
+    result = simulation.run(machine, controller, q, path.length(reference), output, title)
+    names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
+    files = output.within(Path("runs") / f"{Path(robot.robot).stem}-{task.task}", names=names)
+    summary = result.summary()
+    console.print(run_table(summary))
+    _say_files(deliver(files, result, machine))
+    return 0 if result.ok else 1
+
+
+def compare(
+    robot: RobotOptions,
+    task: TaskOptions = TaskOptions(),
+    path: PathOptions = PathOptions(),
+    simulation: RunOptions = RunOptions(),
+    output: Output = Output(),
+    controllers: tuple[ControllerName, ...] = (
+        "eos",
+        "task-space",
+        "null-space-damping",
+        "null-space-posture",
+        "set-point",
+    ),
+) -> int:
+    """Compare EOS control with traditional controllers on the same robot and path: a table and a figure.
+
+    Args:
+        robot: Which robot.
+        task: What the robot must do.
+        path: Where it should go.
+        simulation: How it is simulated.
+        output: What to keep.
+        controllers: Which controllers, the first one in the replay.
+
+    For example:
+
+      eos-pin compare panda
+      eos-pin compare panda --task pose --controllers eos null-space-posture --cycles 10
+    """
+    machine = robot.load()
+    goal, q = task.make(machine)
+    reference = path.make(goal, q)
+    duration = path.length(reference)
+    results: dict[str, Result] = {}
+    for kind in controllers:
+        controller = ControlOptions(kind).make(goal, reference, q)
+        results[kind] = simulation.run(machine, controller, q, duration, output, f"{machine.name}: {kind}")
+    summaries = {name: result.summary() for name, result in results.items()}
+    rows = []
+    for name, summary in summaries.items():
+        drift = summary["joint_drift_per_cycle"] or [np.nan]
+        quantities = (
+            summary["task_error_max"],
+            drift[0],
+            drift[-1],
+            summary["kinetic_energy_mean"],
+            summary["torque_max"],
+        )
+        rows.append((name, summary["status"], *quantities))
+    columns = ("controller", "status", "task error", "first drift", "last drift", "mean energy", "max torque")
+    console.print(grid(f"{machine.name}: {goal!r}", columns, rows))
+    for name, summary in summaries.items():
+        if summary["message"]:
+            console.print(f"{name}: {summary['message']}")
+    names = {"json": "summary.json", "plot": "comparison.png"}
+    files = output.within(Path("runs") / f"{Path(robot.robot).stem}-compare", names=names)
+    from eos_pin import plots
+
+    written = [result.save(files.out / f"{name}.npz") for name, result in results.items() if files.out]
+    first = results[controllers[0]]
+    wanted = replace(files, out=None)
+    _say_files(written + deliver(wanted, first, machine, figures=summaries, plot=plots.comparison(results)))
+    return 0 if first.ok else 1
+
+
+def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output = Output()) -> int:
+    """Say what a robot is: joints, limits, frames, redundancy for a task, and what to try.
+
+    For example:
+
+      eos-pin info panda
+      eos-pin info path/to/robot.urdf --frame tool0 --task pose
+    """
+    machine = robot.load()
+    goal, q = task.make(machine)
+    z, J = goal.linearize(q)
+    sigma = np.linalg.svd(J, compute_uv=False)
+    title = f"{machine.name}: {machine.n} joints to {machine.options['chain_to']} ({machine.source})"
+    columns = ("joint", "kind", "lower", "upper", "velocity", "effort", "start")
+    rows = [
+        (joint.name, joint.kind, joint.lower, joint.upper, joint.velocity, joint.effort, f"{value:.3f}")
+        for joint, value in zip(machine.joints, q, strict=True)
+    ]
+    console.print(grid(title, columns, rows))
+    console.print(f"Task: {goal!r}: m = {goal.m}, redundancy r = n - m = {machine.n - goal.m}")
+    console.print(f"Singular values of G' at the start: {', '.join(figure(s) for s in sigma)}")
+    console.print(f"Ends of branches: {', '.join(leaf_frames(machine))}")
+    console.print(f"All frames: {', '.join(machine.frames)}")
+    for note in machine.notes:
+        console.print(f"Note: {note}")
+    singular = ""
+    try:
+        Chart.at(goal, q)
+    except SingularError as error:
+        singular = str(error)
+        console.print(f"Warning: {singular}")
+    console.print(f"Try: eos-pin track {robot.robot}{f' --frame {robot.frame}' if robot.frame else ''}")
+    figures = {
+        "robot": machine.name,
+        "source": machine.source,
+        "frame": machine.options["chain_to"],
+        "n": machine.n,
+        "m": goal.m,
+        "r": machine.n - goal.m,
+        "joints": [vars(joint) for joint in machine.joints],
+        "start": q,
+        "z": z,
+        "singular_values": sigma,
+        "singular": singular,
+        "frames": machine.frames,
+        "leaf_frames": leaf_frames(machine),
+        "notes": machine.notes,
+    }
+    _say_files(_still(output, machine, goal, q, figures))
+    return 0
+
+
+def ik(
+    robot: RobotOptions,
+    task: TaskOptions = TaskOptions(),
+    output: Output = Output(),
+    to: tuple[float, ...] = (),
+    v: tuple[float, ...] = (),
+    path: Path | None = None,
+) -> int:
+    """Find joints for a task point and self-motion coordinates, or along a path.
+
+    Args:
+        robot: Which robot.
+        task: What the robot must do; q0 is where v is 0 and the search starts.
+        output: What to keep.
+        to: Task point, such as x y z [m]; by default that at q0.
+        v: Self-motion coordinates [rad or m]; by default 0, the value at q0.
+        path: CSV file of rows t, z1, …, zm to follow instead of one point.
+
+    For example:
+
+      eos-pin ik panda --to 0.4 0.1 0.5
+      eos-pin ik panda --task pose --v 0.3 --view
+      eos-pin ik panda --path path.csv --csv joints.csv
+    """
+    machine = robot.load()
+    goal, q = task.make(machine)
+    r = machine.n - goal.m
+    v_goal = vector(v, r, "v") if v else np.zeros(r)
+    if path is not None:
+        spline = spline_from_csv(path)
+        times = np.linspace(spline.start, spline.end, max(2, round(100 * (spline.end - spline.start))))
+    else:
+        # A visible way there: the straight line in (z, v) from the start.
+        times = np.linspace(0.0, 1.0, 101)
+    z0 = goal.value(q)
+    if path is not None:
+        points = [_whole(goal, spline(t).z, z0) for t in times]
+        ways = np.tile(v_goal, (len(times), 1))
+    else:
+        step = goal.minus(_whole(goal, np.array(to), z0), z0)
+        points = [goal.plus(z0, s * step) for s in times]
+        ways = times[:, None] * v_goal
+    found = Atlas(goal).follow(q, points, v=ways)
+    joints = found.q[-1] if len(found.q) else q
+    figures = {
+        "status": "finished" if found.complete else "unreached",
+        "message": found.message,
+        "joints": [joint.name for joint in machine.joints],
+        "q": joints,
+        "task_error_max": found.residual,
+        "charts": len(found.charts),
+        "iterations": found.iterations,
+    }
+    rows = [
+        (joint.name, f"{value:.6f}", joint.lower, joint.upper)
+        for joint, value in zip(machine.joints, joints, strict=True)
+    ]
+    console.print(grid(f"{machine.name}: {goal!r}", ("joint", "value", "lower", "upper"), rows))
+    console.print(f"task error {figure(found.residual)}, {len(found.charts)} charts, {found.iterations} Newton steps")
+    if found.message:
+        stderr.print(f"[bold]not reached:[/] {found.message}")
+    outside = (found.q < machine.lower) | (found.q > machine.upper)
+    if outside.any():
+        names = [machine.joints[i].name for i in np.flatnonzero(outside.any(axis=0))]
+        stderr.print(
+            f"Joint limits are not part of this search, and {', '.join(names)} exceeds them; try another v or q0."
+        )
+    written = []
+    if output.csv is not None:
+        header = ",".join(["t", *(joint.name for joint in machine.joints)])
+        samples = np.column_stack((times[: len(found.q)], found.q))
+        write_atomically(output.csv, lambda file: np.savetxt(file, samples, delimiter=",", header=header, comments=""))
+        written.append(output.csv)
+    result = _as_run(machine, goal, times[: len(found.q)], found.q, found.z)
+    written += deliver(replace(output, csv=None), result, machine, figures=figures)
+    if output.view:
+        _replay(scene_of(result, machine), result)
+    _say_files(written)
+    return 0 if found.complete else 1
+
+
+def replay(run: tyro.conf.Positional[Path], output: Output = Output()) -> int:
+    """Show a saved run in the browser, or write it as HTML, figure, table or JSON.
+
+    Args:
+        run: The .npz file that `eos-pin track` wrote.
+        output: What to make of it; by default it is shown in the browser.
+
+    For example:
+
+      eos-pin replay runs/panda-position/run.npz
+      eos-pin replay runs/panda-position/run.npz --html panda.html --plot panda.pdf
+    """
+    result = Result.load(run)
+    robot = result.load_plant()
+    console.print(run_table(result.summary()))
+    files = output.within(None, names={"html": "replay.html", "plot": "overview.png", "json": "summary.json"})
+    written = deliver(replace(files, out=None), result, robot)
+    _say_files(written)
+    if output.view or not written:
+        _replay(scene_of(result, robot), result)
+    return 0
+
+
+def robots(name: tyro.conf.Positional[str] = "", output: Output = Output()) -> int:
+    """List the robots that can be loaded by name.
+
+    Args:
+        name: Part of the names to list; all by default.
+        output: Only --json and --out apply: nothing moves here.
+
+    For example:
+
+      eos-pin robots
+      eos-pin robots panda
+    """
+    if output.html or output.plot or output.csv or output.view:
+        raise InputError("a list of robots cannot be drawn; try `eos-pin info ROBOT --html FILE`")
+    found = [robot for robot in available_robots() if name.lower() in robot.name.lower()]
+    if not found:
+        raise InputError(f"no robot's name contains {name!r}; `eos-pin robots` lists all")
+    console.print(grid("", ("name", "file"), [(robot.name, robot.path.name) for robot in found]))
+    files = output.within(None, names={"json": "robots.json"})
+    if files.json:
+        _say_files([write_json(files.json, {"robots": [{"name": r.name, "path": r.path} for r in found]})])
+    return 0
+
+
+def run(command: Callable[..., int], argv: Sequence[str] | None = None) -> int:
+    """Parse arguments, run a command, and turn what went wrong into one paragraph and an exit code.
+
+    Returns:
+        0, 1 for a run that failed, 2 for bad input, 130 for an interrupt.
+    """
+    return _guarded(lambda: tyro.cli(command, args=argv, config=_STYLE))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command `eos-pin`."""
+    commands = {f.__name__: f for f in (track, compare, info, ik, replay, robots)}
+    return _guarded(
+        lambda: tyro.extras.subcommand_cli_from_dict(
+            commands,
+            prog="eos-pin",
+            description="Extended operational space control of redundant robots, on any URDF.",
+            args=argv,
+            config=_STYLE,
+        )
+    )
+
+
+_STYLE = (tyro.conf.OmitArgPrefixes,)
+
+
+def _guarded(command: Callable[[], int]) -> int:
+    try:
+        return command()
+    except EosError as error:
+        stderr.print(f"[bold red]Error:[/] {_escaped(str(error))}")
+        return 2
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+    except KeyboardInterrupt:
+        stderr.print("Interrupted.")
+        return 130
+
+
+def _escaped(text: str) -> str:
+    return text.replace("[", r"\[")
+
+
+def _say_files(files: Sequence[Path]) -> None:
+    if files:
+        console.print("Wrote " + ", ".join(str(file) for file in files), soft_wrap=True)
+
+
+def _whole(task: Task, z: np.ndarray, z0: np.ndarray) -> np.ndarray:
+    """Task point whose leading coordinates are z, the others those of z0."""
+    if z.size > task.size:
+        raise InputError(f"the task point must be up to {task.size} numbers ({', '.join(task.labels)}), got {z.size}")
+    return task.point(np.concatenate((z, z0[z.size :])))
+
+
+def _as_run(robot: Robot, task: Task, t: np.ndarray, q: np.ndarray, z: np.ndarray) -> Result:
+    """Joints over time without dynamics, in the form that figures and replay take."""
+    empty, n = np.zeros((len(t), 0)), np.zeros((len(t), robot.n))
+    error = np.array([task.minus(a, task.value(b)) for a, b in zip(z, q, strict=True)]).reshape(len(t), task.m)
+    rest = np.zeros(len(t))
+    record = {
+        "name": robot.name,
+        "source": robot.source,
+        "options": dict(robot.options),
+        "urdf_sha256": robot.urdf_sha256,
+    }
+    return Result(
+        t=t, q=q, dq=n, ddq=n, tau=n, z=z, dz=0.0 * error, z_ref=z, error=error, task_force=0.0 * error,
+        v=empty, dv=empty, v_ref=empty, chart=np.zeros(len(t), dtype=np.int64), kinetic_energy=rest, work=rest,
+        switches=np.zeros(0), info={"robot": record, "task": task.describe(), "controller": {"kind": "Kinematics"}},
+    )  # fmt: skip
+
+
+def _still(output: Output, robot: Robot, task: Task, q: JointVector, figures: dict[str, Any]) -> list[Path]:
+    """Files that show a robot at rest."""
+    files = output.within(None, names={"json": "info.json", "html": "robot.html", "plot": "robot.png"})
+    result = _as_run(robot, task, np.zeros(1), q[None], task.value(q)[None])
+    written = deliver(replace(files, out=None), result, robot, figures=figures)
+    if output.view:
+        _replay(scene_of(result, robot), result)
+    return written
+
+
+def _replay(scene: Any, result: Result) -> None:
+    """Hand a motion to the browser, which keeps it."""
+    from eos_pin.viewer import Viewer
+
+    with Viewer(scene, result.q[0]) as viewer:
+        console.print(f"Replay: {viewer.url}")
+        if not viewer.open():
+            stderr.print("No browser opened; open the address above by hand within a minute.")
+            viewer.open(wait=60.0)
+        viewer.play(result.t, result.q)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

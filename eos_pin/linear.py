@@ -1,0 +1,49 @@
+"""Linear algebra that charts need and no library has in this form."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+
+from eos_pin.arrays import Array, Jacobian
+from eos_pin.errors import SingularError
+
+#: G' counts as rank deficient where its smallest singular value falls below this fraction of the largest.
+RANK_TOLERANCE = 1e-7
+
+
+def check_rank(J: Jacobian) -> None:
+    """Refuse a Jacobian without full rank.
+
+    Raises:
+        SingularError: It has the rank and the singular values.
+    """
+    values = np.linalg.svd(J, compute_uv=False)
+    rank = int((values > RANK_TOLERANCE * values[0]).sum())
+    if rank < J.shape[0]:
+        raise SingularError(
+            f"the task is singular here: its Jacobian has rank {rank} of {J.shape[0]} (singular values "
+            f"{', '.join(f'{s:.2g}' for s in values)}). Move away from this configuration, or drop the lost direction "
+            "from the task",
+            rank,
+            values.tolist(),
+        )
+
+
+def null_space(J: Jacobian) -> Float[Array, "n r"]:
+    """Orthonormal basis of the null space of J, the same on every machine: the sign of each column is fixed."""
+    m = J.shape[0]
+    V = scipy.linalg.qr(J.T)[0][:, m:]
+    for column in V.T:
+        # The last entry of about the largest size is positive; ties within rounding then cannot flip the sign.
+        size = np.abs(column)
+        if column[np.flatnonzero(size >= 0.5 * size.max())[-1]] < 0.0:
+            column *= -1.0
+    return V
+
+
+def is_odd(LU: Array, pivots: Array) -> bool:
+    """Whether the determinant of a factored matrix is negative."""
+    signs = sum(d < 0.0 for d in LU.diagonal().tolist()) + sum(p != i for i, p in enumerate(pivots.tolist()))
+    return signs % 2 == 1

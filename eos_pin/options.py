@@ -1,0 +1,246 @@
+"""Groups of command-line options, and what each makes of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+from eos_pin.arrays import JointVector, vector
+from eos_pin.atlas import Atlas
+from eos_pin.baselines import BASELINES
+from eos_pin.controllers import Controller, EosController
+from eos_pin.errors import InputError
+from eos_pin.loading import Payload, Tool, load_robot
+from eos_pin.objectives import Damp, Objective, Posture, ReduceKineticEnergy, Track
+from eos_pin.presets import fitting_path, make_task, rest_posture
+from eos_pin.report import Output, watched
+from eos_pin.results import Result
+from eos_pin.robot import Robot
+from eos_pin.simulation import SensorNoise, simulate, simulate_sampled
+from eos_pin.tasks import Task
+from eos_pin.trajectories import Harmonic, Hold, StackedTrajectory, Trajectory, spline_from_csv
+
+ControllerName = Literal[
+    "eos",
+    "task-space",
+    "task-space-energy",
+    "null-space-damping",
+    "null-space-posture",
+    "without-drift",
+    "set-point",
+]
+
+
+@dataclass(frozen=True)
+class RobotOptions:
+    """Which robot.
+
+    Attributes:
+        robot: Name (see `eos-pin robots`) or path of a URDF file.
+        frame: Frame that does the task; by default the tip. Joints that are not between base and frame are locked.
+        lock: Names of further joints to lock.
+        package_dirs: Folders in which `package://` meshes are looked for.
+        gravity: Acceleration of gravity [m/s²], such as 0 -9.81 0 for a planar robot that stands upright.
+        tool: Offset of a tool frame from the frame [m]; the tool then does the task.
+        payload: Mass carried at the frame [kg].
+    """
+
+    robot: tyro.conf.Positional[str]
+    frame: str = ""
+    lock: tuple[str, ...] = ()
+    package_dirs: tuple[Path, ...] = ()
+    gravity: tuple[float, float, float] | None = None
+    tool: tuple[float, float, float] | None = None
+    payload: float = 0.0
+
+    def load(self) -> Robot:
+        """Load the chain from the base to the frame."""
+        options: dict[str, Any] = {"lock": self.lock, "package_dirs": self.package_dirs, "gravity": self.gravity}
+        robot = load_robot(self.robot, chain_to=self.frame or "auto", **options)
+        frame = robot.options["chain_to"]
+        if self.tool is None and not self.payload:
+            return robot
+        tool = Tool(frame, self.tool) if self.tool is not None else None
+        payload = Payload(self.payload, frame) if self.payload else None
+        return load_robot(self.robot, chain_to=tool.name if tool else frame, tool=tool, payload=payload, **options)
+
+
+@dataclass(frozen=True)
+class TaskOptions:
+    """What the robot must do.
+
+    Attributes:
+        task: What counts: position, pose (with orientation), orientation, heading (planar robots), or centre of mass.
+        axes: Axes that count, such as xy; by default all along which the frame can move.
+        q0: Joints at the start [rad or m]; by default a posture far from singular and from the limits.
+    """
+
+    task: Literal["position", "pose", "orientation", "heading", "com"] = "position"
+    axes: str = ""
+    q0: tuple[float, ...] = ()
+
+    def make(self, robot: Robot) -> tuple[Task, JointVector]:
+        """The task, and the joints to start from."""
+        task = make_task(robot, self.task, frame=robot.options.get("chain_to", ""), axes=self.axes)
+        return task, vector(self.q0, robot.n, "q0") if self.q0 else rest_posture(task)
+
+
+@dataclass(frozen=True)
+class PathOptions:
+    """Where it should go.
+
+    Attributes:
+        path: Figure eight, circle, line, hold, or a CSV file of rows t, z1, …, zm [s, m].
+        size: Half width or radius [m]; by default as large as the robot can follow.
+        plane: Plane of the path, such as yz, or one axis for a line.
+        period: Time of one round [s]; by default as short as the joints' velocity limits allow, from 4 s.
+        cycles: Rounds to run.
+        duration: Length of the run [s], instead of rounds.
+    """
+
+    path: str = "eight"
+    size: float | None = None
+    plane: str | None = None
+    period: float | None = None
+    cycles: int = 3
+    duration: float | None = None
+
+    def make(self, task: Task, q: JointVector) -> Trajectory:
+        """The path, through the task point at q unless a file says otherwise."""
+        if self.path.lower().endswith(".csv"):
+            spline = spline_from_csv(self.path)
+            width, z = spline(0.0).z.size, task.value(q)
+            if width < task.m and width in (2, 3) and task.size > width:
+                return StackedTrajectory((spline, Hold(z[width:], task.m - width)))
+            return spline
+        if self.path not in ("eight", "circle", "line", "hold"):
+            raise InputError(f"a path is eight, circle, line, hold, or the name of a .csv file; got {self.path!r}")
+        return fitting_path(task, q, shape=self.path, size=self.size, plane=self.plane, period=self.period)  # type: ignore[arg-type]
+
+    def length(self, reference: Trajectory) -> float:
+        """Length of the run [s]."""
+        if self.duration is not None:
+            return self.duration
+        if np.isfinite(reference.period):
+            return self.cycles * reference.period
+        return max(reference.duration, 5.0) if np.isfinite(reference.duration) else 10.0
+
+
+@dataclass(frozen=True)
+class ControlOptions:
+    """How it is controlled.
+
+    Attributes:
+        controller: EOS computed torque, or a traditional controller to compare with.
+        self_motion: What the self-motion does: hold v, draw the joints to the start posture, damp, lower the kinetic
+            energy, or be left free.
+        v: Self-motion to hold, r numbers [rad or m]; by default where it is at the start.
+        swing: Amplitude of a sine of the path's period that v's first coordinate follows [rad or m].
+        kp: Gain on the task error [1/s²].
+        kd: Gain on the task's velocity error [1/s].
+        kp_self_motion: Gain on the self-motion error [1/s²].
+        kd_self_motion: Gain on the self-motion's velocity error [1/s].
+        chart_margin: A chart is left where its margin falls to this, between 0 and 1.
+    """
+
+    controller: ControllerName = "eos"
+    self_motion: Literal["hold", "posture", "damp", "energy", "free"] = "hold"
+    v: tuple[float, ...] = ()
+    swing: float = 0.0
+    kp: float = 100.0
+    kd: float = 20.0
+    kp_self_motion: float = 100.0
+    kd_self_motion: float = 20.0
+    chart_margin: float = 0.5
+
+    def make(self, task: Task, reference: Trajectory, q: JointVector) -> Controller:
+        """The controller."""
+        if self.controller != "eos":
+            return BASELINES[self.controller](task, reference, q)
+        atlas = Atlas(task, threshold=self.chart_margin)
+        law = self._law(task, reference, q)
+        return EosController(task, reference, law, kp=self.kp, kd=self.kd, atlas=atlas)
+
+    def _law(self, task: Task, reference: Trajectory, q: JointVector) -> Objective:
+        gains = {"kp": self.kp_self_motion, "kd": self.kd_self_motion}
+        r = task.robot.n - task.m
+        if self.self_motion == "posture":
+            return Posture(q, **gains)
+        if self.self_motion == "damp":
+            return Damp(self.kd_self_motion)
+        if self.self_motion == "energy":
+            return ReduceKineticEnergy(task.robot)
+        if self.self_motion == "free":
+            return Damp(0.0)
+        center = vector(self.v, r, "v") if self.v else np.zeros(r)
+        if not self.swing:
+            return Track(center, **gains)
+        if not r:
+            raise InputError("there is no self-motion to swing: the task takes all joints (r = 0)")
+        period = reference.period if np.isfinite(reference.period) else 4.0
+        return Track(Harmonic(center, self.swing * np.eye(r)[:1], np.zeros((1, r)), period), **gains)
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How it is simulated.
+
+    Attributes:
+        rate: Run sampled at this many control periods per second, with held torques; continuous by default [Hz].
+        substeps: Steps of the plant in each control period.
+        noise: Standard deviation of measured joints [rad or m], and of measured velocities ten times that per second.
+        delay: Age of the state the controller sees [s].
+        torque_limits: Clip torques at the robot's limits.
+        model_error: Largest relative error of masses, centres of mass and inertias that the controller does not know.
+        method: Integrator of a continuous run.
+        rtol: Tolerance of a continuous run.
+    """
+
+    rate: float | None = None
+    substeps: int = 1
+    noise: float = 0.0
+    delay: float = 0.0
+    torque_limits: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    model_error: float = 0.0
+    method: Literal["DOP853", "LSODA", "RK45", "Radau", "BDF"] = "DOP853"
+    rtol: float = 1e-9
+
+    def run(
+        self,
+        robot: Robot,
+        controller: Controller,
+        q: JointVector,
+        duration: float,
+        output: Output,
+        title: str,
+        scene: Any = None,
+    ) -> Result:
+        """Run the closed loop, with a progress bar and perhaps a live view."""
+        e = self.model_error
+        plant = robot.perturbed(mass=e, com=e, inertia=e, seed=output.seed) if e else robot
+        if self.rate is None and (self.noise or self.delay or self.torque_limits):
+            raise InputError("noise, delay and torque limits are those of a sampled run; add --rate 1000")
+        with watched(output, robot, q, duration, title, scene) as observer:
+            if self.rate is None:
+                return simulate(
+                    plant, controller, q, duration=duration, method=self.method, rtol=self.rtol, observer=observer
+                )
+            if not self.rate > 0.0:
+                raise InputError(f"the rate must be above 0 Hz, got {self.rate}")
+            return simulate_sampled(
+                plant,
+                controller,
+                q,
+                duration=duration,
+                period=1.0 / self.rate,
+                substeps=self.substeps,
+                noise=SensorNoise(self.noise, 10.0 * self.noise) if self.noise else None,
+                delay=self.delay,
+                torque_limits=self.torque_limits,
+                seed=output.seed,
+                observer=observer,
+            )

@@ -1,0 +1,155 @@
+"""Collects the samples of a run, and turns whatever ends it into a `Result`."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from eos_pin.arrays import Array, JointVector, Vector, number
+from eos_pin.controllers import EosController
+from eos_pin.errors import ChartError, EosError, SingularError
+from eos_pin.results import Result, provenance
+from eos_pin.systems import System
+
+#: Called with time and joints of every sample of a run: a progress bar, a live view.
+Observer: TypeAlias = Callable[[float, JointVector], None]
+
+
+class Stop(Exception):  # noqa: N818 - an ending, not an error
+    """Ends a run with a status and a message."""
+
+
+class Recorder:
+    """Collects samples, and how the run ended."""
+
+    def __init__(self, system: System, times: Vector, arguments: dict[str, Any], observer: Observer | None) -> None:
+        self.system, self.times, self.arguments, self.observer = system, times, arguments, observer
+        self.switches: list[float] = []
+        self.status, self.message = "finished", ""
+        self._rows: list[tuple[Any, ...]] = []
+        self._next = 0
+        self._clock, self._wall = time.process_time(), time.perf_counter()
+
+    def due(self, start: float, end: float) -> Iterator[float]:
+        """Sample times from `start` up to `end` that have not been taken."""
+        while self._next < len(self.times) and self.times[self._next] <= end:
+            if self.times[self._next] >= start:
+                yield float(self.times[self._next])
+            else:
+                self._next += 1
+
+    def add(self, t: float, x: Vector, tau: JointVector | None = None) -> None:
+        """Take a sample; the torque is the controller's unless it was held."""
+        if self._rows and t <= self._rows[-1][0]:
+            self._next += t >= self.times[min(self._next, len(self.times) - 1)]
+            return
+        self._next += self._next < len(self.times) and t >= self.times[self._next]
+        system = self.system
+        q, dq = (np.array(a) for a in system.joints(x))
+        if tau is None:
+            tau = system.controller.torque(t, q, dq, system.memory)
+        ddq, _ = system.accelerate(t, q, dq, tau)
+        self._rows.append((t, q, dq, ddq, np.array(tau), x[-1], system.memory, getattr(system, "chart", None)))
+        if self.observer is not None:
+            self.observer(t, q)
+
+    @contextmanager
+    def until_it_ends(self) -> Iterator[None]:
+        """Turn whatever ends the run early into a status and a message."""
+        try:
+            yield
+        except Stop as stop:
+            self.status, self.message = stop.args
+        except SingularError as error:
+            self.status, self.message = "singular", f"the run ended at t = {self._reached:.4g} s: {error}"
+        except ChartError as error:
+            self.status, self.message = "chart_lost", f"the run ended at t = {self._reached:.4g} s: {error}"
+        except EosError as error:
+            self.status, self.message = "failed", f"the run ended at t = {self._reached:.4g} s: {error}"
+        except KeyboardInterrupt:
+            self.status, self.message = "interrupted", f"interrupted at t = {self._reached:.4g} s"
+
+    @property
+    def _reached(self) -> float:
+        return self._rows[-1][0] if self._rows else 0.0
+
+    def result(self) -> Result:
+        """The run as a value; what follows from the state is computed here, out of the loop's way."""
+        controller, plant = self.system.controller, self.system.plant
+        t, q, dq, ddq, tau, work, memories, charts = zip(*self._rows, strict=True)
+        cpu, wall = time.process_time() - self._clock, time.perf_counter() - self._wall
+        force = self.system.task_force
+        task = getattr(controller, "task", None) or getattr(getattr(self.system, "atlas", None), "task", None)
+        task = task or (force.task if force else None)
+        columns: dict[str, list[Any]] = {
+            name: [] for name in ("z", "dz", "z_ref", "error", "task_force", "v", "dv", "v_ref", "chart")
+        }
+        numbers: dict[int, int] = {}
+        for row in range(len(t)):
+            chart = charts[row] or getattr(memories[row], "chart", None)
+            columns["chart"].append(numbers.setdefault(id(chart), len(numbers)))
+            columns["v"].append(chart.v(q[row]) if chart else ())
+            columns["dv"].append(chart.dv(dq[row]) if chart else ())
+            asked = (
+                controller.self_motion_target(t[row], memories[row]) if isinstance(controller, EosController) else None
+            )
+            columns["v_ref"].append(asked.z if asked else np.full(chart.r if chart else 0, np.nan))
+            if task is None:
+                for name in ("z", "dz", "z_ref", "error", "task_force"):
+                    columns[name].append(())
+                continue
+            # The plant's own kinematics; the controller's model may differ in inertia only.
+            point = task.at(q[row], dq[row])
+            reference = getattr(controller, "reference", None)
+            z_ref = reference(t[row]).z if reference else np.full(task.size, np.nan)
+            columns["z"].append(point.z)
+            columns["dz"].append(point.dz)
+            columns["z_ref"].append(z_ref)
+            columns["error"].append(task.minus(z_ref, point.z) if reference else np.full(task.m, np.nan))
+            columns["task_force"].append(np.asarray(force.force(t[row])) if force else np.zeros(task.m))
+        info = provenance() | {
+            "robot": {
+                "name": plant.name,
+                "source": plant.source,
+                "options": dict(plant.options),
+                "urdf_sha256": plant.urdf_sha256,
+            },
+            "task": task.describe() if task else None,
+            "controller": controller.describe(),
+            "arguments": self.arguments,
+            "cpu_seconds": cpu,
+            "wall_seconds": wall,
+        }
+        return Result(
+            t=np.array(t),
+            q=np.array(q),
+            dq=np.array(dq),
+            ddq=np.array(ddq),
+            tau=np.array(tau),
+            **{name: np.array(values, dtype=float) for name, values in columns.items() if name != "chart"},
+            chart=np.array(columns["chart"], dtype=np.int64),
+            kinetic_energy=np.array([plant.kinetic_energy(a, b) for a, b in zip(q, dq, strict=True)]),
+            work=np.array(work),
+            switches=np.array(self.switches, dtype=float),
+            period=self.system.reference_period,
+            status=self.status,
+            message=self.message,
+            info=info,
+        )
+
+
+def sample_times(duration: float, rate: float, period: float) -> Array:
+    """Sample times: a regular grid, the end, and the exact multiples of the period instead of their neighbours."""
+    duration, rate = number(duration, "the duration", above=0.0), number(rate, "the sample rate", above=0.0)
+    times = np.arange(0.0, duration, 1.0 / rate)
+    exact = [duration]
+    if math.isfinite(period):
+        exact += list(period * np.arange(int(duration / period + 1e-9) + 1))
+    exact_times = np.minimum(np.array(exact), duration)
+    near = np.abs(times[:, None] - exact_times[None, :]).min(axis=1) < 1e-9 * max(1.0, duration)
+    return np.unique(np.concatenate((times[~near], exact_times)))

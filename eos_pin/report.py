@@ -1,0 +1,225 @@
+"""What a run leaves behind: a table on the terminal, files, a replay in the browser."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from eos_pin.arrays import JointVector
+from eos_pin.files import write_atomically
+from eos_pin.recording import Observer
+from eos_pin.results import Result
+from eos_pin.robot import Robot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from eos_pin.scene import Obstacle, Scene
+
+#: Where tables go; errors and progress go to stderr.
+console = Console(highlight=False)
+stderr = Console(stderr=True, highlight=False)
+
+
+@dataclass(frozen=True)
+class Output:
+    """What to keep, and what to see.
+
+    Attributes:
+        out: Folder for all files that have no path of their own.
+        json: File for the figures, machine-readable.
+        html: File for the browser replay, which plays offline.
+        plot: File for the figure (.png, .pdf or .svg).
+        csv: File for the samples as a table.
+        view: Watch the run live in the browser, in real time.
+        seed: Seed of everything random.
+    """
+
+    out: Path | None = None
+    json: Path | None = None
+    html: Path | None = None
+    plot: Path | None = None
+    csv: Path | None = None
+    view: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    seed: int = 0
+
+    def within(self, folder: Path | None, *, names: Mapping[str, str]) -> Output:
+        """The same with a default path below `out`, or `folder`, for every file in `names` that has none.
+
+        Args:
+            folder: Folder where `out` is not given; None for no default files then.
+            names: File name by the name of the option.
+        """
+        base = self.out or folder
+        chosen = {key: getattr(self, key) for key in ("json", "html", "plot", "csv")}
+        if base is not None:
+            chosen |= {key: chosen[key] or base / name for key, name in names.items()}
+        return Output(out=base, view=self.view, seed=self.seed, **chosen)
+
+
+@contextmanager
+def watched(
+    output: Output, robot: Robot, q: JointVector, duration: float, title: str, scene: Scene | None = None
+) -> Iterator[Observer]:
+    """Progress bar on the terminal and, if asked for, a live view in the browser.
+
+    Args:
+        output: Whether to view.
+        robot: The robot that moves.
+        q: Joints at the start.
+        duration: Length of the run [s].
+        title: What runs.
+        scene: What there is to see; just the robot by default.
+    """
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:g} s"))
+    with Progress(*columns, TimeElapsedColumn(), console=stderr, transient=True) as progress:
+        bar = progress.add_task(title, total=duration)
+        if not output.view:
+            yield lambda t, q: progress.update(bar, completed=t)
+            return
+        from eos_pin.scene import Scene
+        from eos_pin.viewer import Viewer
+
+        with Viewer(scene or Scene(robot, title=title), q) as viewer:
+            stderr.print(f"Live view: {viewer.url}")
+            if not viewer.open():
+                stderr.print("No browser opened; open the address above by hand.")
+
+            def show(t: float, q: JointVector) -> None:
+                progress.update(bar, completed=t)
+                viewer.show(t, q)
+
+            yield show
+
+
+def scene_of(result: Result, robot: Robot, obstacles: Sequence[Obstacle] = (), *, title: str = "") -> Scene:
+    """What there is to see of a run: the robot, its reference path, and the trace of the frame that follows it."""
+    from eos_pin.scene import Scene
+
+    task = result.info.get("task") or {}
+    first = task["tasks"][0] if task.get("kind") == "stacked" else task
+    frame = first.get("frame", "")
+    paths = {}
+    axes = first.get("axes", "xyz")
+    if first.get("kind") in ("position", "pose") and len(result.t) and np.isfinite(result.z_ref).all():
+        # Axes that do not count lie where the frame is.
+        tip = np.array([robot.placement(q, frame).translation for q in result.q])
+        tip[:, ["xyz".index(axis) for axis in axes]] = result.z_ref[:, : len(axes)]
+        paths["reference"] = tip
+    summary = result.summary()
+    caption = f"{result.info.get('controller', {}).get('kind', '')}: task error {figure(summary['task_error_max'])}"
+    drift = summary["joint_drift_per_cycle"]
+    caption += f", joint drift per cycle {figure(drift[-1])}" if drift else ""
+    traces = {"actual": frame} if frame else {}
+    return Scene(
+        robot, paths, traces, tuple(obstacles), title or f"{robot.name}: {first.get('kind', 'motion')}", caption
+    )
+
+
+def deliver(
+    output: Output,
+    result: Result,
+    robot: Robot,
+    *,
+    figures: Mapping[str, Any] | None = None,
+    obstacles: Sequence[Obstacle] = (),
+    plot: Figure | None = None,
+) -> list[Path]:
+    """Write every file that is asked for.
+
+    Args:
+        output: What is asked for.
+        result: The run.
+        robot: The robot that moved.
+        figures: What goes into the JSON; by default the run's summary.
+        obstacles: Solids in the replay.
+        plot: Figure to save; by default the overview of the run.
+
+    Returns:
+        The files that were written.
+    """
+    written = []
+    if output.out is not None:
+        written.append(result.save(output.out / "run.npz"))
+    if output.json is not None:
+        written.append(write_json(output.json, figures or result.summary()))
+    if output.csv is not None:
+        written.append(result.to_csv(output.csv))
+    if output.plot is not None:
+        from eos_pin import plots
+
+        written.append(plots.save(plot or plots.overview(result, robot), output.plot))
+    if output.html is not None:
+        from eos_pin.viewer import write_html
+
+        written.append(write_html(output.html, scene_of(result, robot, obstacles), result.t, result.q))
+    return written
+
+
+def write_json(path: Path, figures: Mapping[str, Any]) -> Path:
+    """Write figures as JSON, where what is not a number is null."""
+    text = json.dumps(_plain(figures), indent=2, allow_nan=False) + "\n"
+    write_atomically(path, lambda file: file.write(text.encode()))
+    return path
+
+
+def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
+    """Table whose numbers stand right and whose words stand left."""
+    filled = [[figure(cell) if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
+    table = Table(title=title)
+    for i, name in enumerate(columns):
+        numeric = all(row[i][:1] in "-0123456789in" for row in filled)
+        table.add_column(name, justify="right" if numeric else "left", no_wrap=i == 0)
+    for row in filled:
+        table.add_row(*row)
+    return table
+
+
+def run_table(summary: Mapping[str, Any]) -> Table:
+    """Table of what happened in one run."""
+    table = Table(title=f"{summary['robot']}: {summary['frame'] or summary['task'].get('kind', '')}", show_header=False)
+    table.add_row("status", summary["status"] + (f": {summary['message']}" if summary["message"] else ""))
+    table.add_row("joints n, task m, redundancy r", f"{summary['n']}, {summary['m']}, {summary['r']}")
+    period = f" of {summary['period']:g} s" if summary["period"] else ""
+    table.add_row("duration", f"{summary['duration']:g} s, {summary['cycles']} cycles{period}")
+    settled = f"after {summary['settled_from']:g} s"
+    table.add_row(f"task error, {settled}", f"{figure(summary['task_error_max'])} m or rad")
+    table.add_row(f"self-motion error, {settled}", figure(summary["self_motion_error_max"]))
+    drift = ", ".join(figure(d) for d in summary["joint_drift_per_cycle"]) or "-"
+    table.add_row("joint drift, cycle by cycle", drift)
+    table.add_row("chart switches", str(summary["chart_switches"]))
+    table.add_row("kinetic energy, mean", f"{figure(summary['kinetic_energy_mean'])} J")
+    table.add_row("largest torque or force", f"{figure(summary['torque_max'])} N m or N")
+    table.add_row("computing time", f"{summary['cpu_seconds']:.2f} s")
+    return table
+
+
+def figure(value: float | None) -> str:
+    """Number for a person: three digits, a dash if there is none."""
+    return "-" if value is None or math.isnan(value) else f"{value:.3g}"
+
+
+def _plain(value: Any) -> Any:
+    """The same in types JSON has; not-a-number and infinity become null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,189 @@
+"""How closely numbers must agree, references that do not come from the package, and robots and states to try."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+import eos_pin
+
+#: Identities: rounding. Multiply by the condition number of what is inverted (`exact`).
+EXACT = 1e-13
+#: Results of Newton's method: its own tolerance, in the task's units.
+SOLVED = 1e-10
+#: Integrated motions: largest error in units of atol + rtol |x| (`integration_error`) that a run may collect.
+INTEGRATED = 1e3
+#: Central differences with the step below: their error is about rounding / step + step².
+DIFFERENCED = 1e-7
+
+STEP = 1e-5
+
+
+def exact(*matrices, scale=1.0):
+    """Tolerance for an identity in which these matrices are inverted: rounding times their condition numbers."""
+    return EXACT * max(1.0, scale) * np.prod([np.linalg.cond(A) for A in matrices])
+
+
+def integration_error(x, reference, *, rtol=1e-9, atol=1e-9):
+    """Largest error of x in units of what the integrator was allowed in one step."""
+    return float(np.max(np.abs(x - reference) / (atol + rtol * np.abs(reference))))
+
+
+# -- references by finite differences ------------------------------------------------------------------------------
+
+
+def numeric_jacobian(task, q, step=STEP):
+    """Jacobian of a task by central differences in its tangent space."""
+    z = task.value(q)
+    columns = [
+        task.minus(task.value(q + step * e), z) - task.minus(task.value(q - step * e), z) for e in np.eye(q.size)
+    ]
+    return np.array(columns).T / (2.0 * step)
+
+
+def numeric_drift(task, q, dq, step=STEP):
+    """Task acceleration at ddq = 0: the change of the Jacobian along dq, times dq."""
+    return (task.linearize(q + step * dq)[1] - task.linearize(q - step * dq)[1]) @ dq / (2.0 * step)
+
+
+# -- robots ----------------------------------------------------------------------------------------------------------
+
+LOADING = {
+    "panda": ("panda", {"chain_to": "panda_hand_tcp"}),
+    "kinova": ("kinova", {"chain_to": "j2s6s200_end_effector"}),
+    "ur5": ("ur5", {}),
+    "ppr": ("ppr", {"gravity": (0.0, -9.81, 0.0)}),
+    "chain": ("planar_chain_10", {"gravity": (0.0, -9.81, 0.0)}),
+}
+
+
+@cache
+def robot(name):
+    """One of the robots above; the same object whenever it is asked for."""
+    source, options = LOADING[name]
+    return eos_pin.load_robot(source, **options)
+
+
+def random_chain(seed):
+    """A serial robot: 5 to 12 joints, prismatic and revolute mixed, random axes, offsets and inertias; frame `tip`.
+
+    About three in four joints are revolute, and the first three of these make sure that it moves in all directions.
+    """
+    random = np.random.default_rng(seed)
+    model = pin.Model()
+    model.name = f"random_chain_{seed}"
+    joint = 0
+    for i in range(int(random.integers(5, 13))):
+        axis = random.normal(size=3)
+        axis /= np.linalg.norm(axis)
+        prismatic = i >= 3 and random.random() < 0.25
+        kind = pin.JointModelPrismaticUnaligned if prismatic else pin.JointModelRevoluteUnaligned
+        placement = pin.SE3(pin.exp3(random.normal(size=3)), random.uniform(-0.4, 0.4, 3))
+        joint = model.addJoint(joint, kind(axis), placement, f"joint_{i + 1}")
+        model.addJointFrame(joint)
+        # Moments of a solid box in random axes: of a real body, as the triangle inequality wants.
+        mass, sides = random.uniform(0.2, 5.0), random.uniform(0.05, 0.5, 3)
+        moments = mass / 12.0 * (np.sum(sides**2) - sides**2)
+        axes = pin.exp3(random.normal(size=3))
+        body = pin.Inertia(mass, random.uniform(-0.2, 0.2, 3), (axes * moments) @ axes.T)
+        model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+        model.addBodyFrame(f"link_{i + 1}", joint, pin.SE3.Identity(), -1)
+    tip = pin.SE3(pin.exp3(random.normal(size=3)), random.uniform(0.1, 0.4, 3))
+    model.addFrame(pin.Frame("tip", joint, model.getFrameId(f"link_{model.nv}"), tip, pin.FrameType.OP_FRAME))
+    model.lowerPositionLimit, model.upperPositionLimit = np.full(model.nq, -np.inf), np.full(model.nq, np.inf)
+    return eos_pin.Robot(model)
+
+
+def is_planar(robot):
+    """Whether all revolute joints turn about the world's z axis."""
+    try:
+        eos_pin.HeadingTask(robot, tip(robot))
+    except eos_pin.InputError:
+        return False
+    return True
+
+
+def tip(robot):
+    """Frame at the end of the robot."""
+    return eos_pin.default_frame(robot)
+
+
+# -- tasks -----------------------------------------------------------------------------------------------------------
+
+
+def every_task(robot):
+    """One task of each kind that the robot can do, by name; for a robot of six joints or more at least seven."""
+    end, middle = tip(robot), _middle(robot)
+    if is_planar(robot):
+        tasks = {
+            "position xy": eos_pin.PositionTask(robot, end, "xy"),
+            "position x": eos_pin.PositionTask(robot, end, "x"),
+            "com xy": eos_pin.ComTask(robot, "xy"),
+            "heading": eos_pin.HeadingTask(robot, end),
+        }
+        stacked = {"position+heading": ["position xy", "heading"]}
+        if robot.n > 4:
+            tasks["relative xy"] = eos_pin.RelativePositionTask(robot, end, middle, "xy")
+            stacked["position+com"] = ["position xy", "com xy"]
+    else:
+        tasks = {
+            "position xyz": eos_pin.PositionTask(robot, end),
+            "position xz": eos_pin.PositionTask(robot, end, "xz"),
+            "position z": eos_pin.PositionTask(robot, end, "z"),
+            "relative xyz": eos_pin.RelativePositionTask(robot, end, middle),
+            "orientation": eos_pin.OrientationTask(robot, end),
+            "pose": eos_pin.PoseTask(robot, end),
+            "com xyz": eos_pin.ComTask(robot),
+        }
+        stacked = {"orientation+z": ["orientation", "position z"]}
+        if robot.n > 6:
+            stacked["position+com"] = ["position xyz", "com xyz"]
+    tasks |= {name: eos_pin.StackedTask([tasks[part] for part in parts]) for name, parts in stacked.items()}
+    return {name: task for name, task in tasks.items() if task.m <= robot.n}
+
+
+def _middle(robot):
+    """Frame of a link at a third of the way, so that enough joints are left beyond it to move in all directions."""
+    joint = max(1, robot.n // 3)
+    return next(frame.name for frame in robot.model.frames if frame.parentJoint == joint)
+
+
+@cache
+def all_tasks(names=("panda", "kinova", "chain")):
+    """Every task of several robots as (name, task), for `pytest.mark.parametrize`."""
+    return [(f"{name}: {kind}", task) for name in names for kind, task in every_task(robot(name)).items()]
+
+
+# -- states ----------------------------------------------------------------------------------------------------------
+
+
+def numbers(size, bound=1.0):
+    """Vectors of `size` numbers up to `bound`."""
+    return hnp.arrays(float, size, elements=st.floats(-bound, bound, allow_subnormal=False))
+
+
+def joints(robot):
+    """Configurations within the limits of the robot; a joint without limits, or with wide ones, turns up to π [rad]."""
+    lower, upper = np.clip(robot.lower, -np.pi, np.pi), np.clip(robot.upper, -np.pi, np.pi)
+    return numbers(robot.n).map(lambda x: lower + 0.5 * (1.0 + x) * (upper - lower))
+
+
+def velocities(robot):
+    """Joint velocities up to 2 rad/s or m/s."""
+    return numbers(robot.n, 2.0)
+
+
+def tangents(task, bound=1.0):
+    """Steps in the tangent space of a task."""
+    return numbers(task.m, bound)
+
+
+def random_state(robot, seed=0):
+    """One configuration and one velocity, for a test that needs just one."""
+    random = np.random.default_rng(seed)
+    lower, upper = np.clip(robot.lower, -np.pi, np.pi), np.clip(robot.upper, -np.pi, np.pi)
+    return random.uniform(lower, upper), random.uniform(-1.0, 1.0, robot.n)

@@ -1,0 +1,64 @@
+"""What all tests share: run-time type checks of the package, one thread, no display, and a few robots."""
+
+from __future__ import annotations
+
+import os
+
+# Before NumPy is imported: more threads make small matrices slower and results depend on the machine.
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import hypothesis
+import jaxtyping
+import pytest
+
+# Before eos_pin is imported: every annotation of the package, shapes included, is then checked at each call.
+jaxtyping.install_import_hook("eos_pin", "typecheck.typecheck")
+
+import checks
+
+COMMON = {"deadline": None, "suppress_health_check": [hypothesis.HealthCheck.too_slow]}
+hypothesis.settings.register_profile("ci", derandomize=True, database=None, max_examples=20, **COMMON)
+hypothesis.settings.register_profile("explore", max_examples=500, **COMMON)
+# `--hypothesis-profile=explore` looks for new counterexamples; by default every run draws the same ones.
+hypothesis.settings.load_profile("ci")
+
+
+@pytest.fixture(scope="session")
+def panda():
+    """Arm with seven revolute joints."""
+    return checks.robot("panda")
+
+
+@pytest.fixture(scope="session")
+def kinova():
+    """Arm with six revolute joints, three of them without limits."""
+    return checks.robot("kinova")
+
+
+@pytest.fixture(scope="session")
+def ur5():
+    """Arm with six revolute joints."""
+    return checks.robot("ur5")
+
+
+@pytest.fixture(scope="session")
+def ppr():
+    """Planar robot of Sec. 4.3, n = 3, with gravity along −y as in the paper."""
+    return checks.robot("ppr")
+
+
+@pytest.fixture(scope="session")
+def chain():
+    """Planar robot of Sec. 6, n = 10, with gravity along −y as in the paper."""
+    return checks.robot("chain")
+
+
+@pytest.fixture
+def unchecked():
+    """Switch the run-time type checks off: for arguments of a wrong type, and for long runs."""
+    before = jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", before)

@@ -1,0 +1,119 @@
+"""The floors of the package: who may import whom. The table below is the map of the modules."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "eos_pin"
+
+#: A module may import only modules above it in this table. Of other people's packages it may import NumPy, jaxtyping
+#: (`errors` not even these) and those in the last column. An import inside a function counts like any other.
+TABLE = """
+    0 ground    errors
+                arrays
+                files
+    1 robot     robot           pinocchio
+                library
+                urdf            lxml pinocchio
+                shapes          coal lxml pinocchio yourdfpy
+                loading         lxml pinocchio
+    2 geometry  linear          scipy
+                tasks           pinocchio
+                positions       pinocchio
+                orientations    pinocchio
+                charts          scipy
+                atlas
+    3 motion    dynamics        scipy
+                trajectories    scipy
+                objectives
+    4 control   controllers
+                baselines       scipy
+    5 run       presets         pinocchio
+                systems
+                results
+                recording
+                simulation      scipy
+    6 show      meshes          coal pinocchio trimesh
+                scene           coal pinocchio
+                server          tornado
+                viewer
+"""
+
+
+def read_table():
+    """Module → (floor, other people's packages of its last column), from the ground up."""
+    rows, floor = {}, ""
+    for line in TABLE.strip().splitlines():
+        *named, rest = line.strip().split(maxsplit=2) if line.strip()[0].isdigit() else (line,)
+        floor = " ".join(named) or floor
+        module, *others = rest.split()
+        rows[module] = floor, set(others)
+    return rows
+
+
+ROWS = read_table()
+MODULES = sorted(path.stem for path in PACKAGE.glob("*.py") if path.stem != "__init__")
+
+
+def imported(path):
+    """Modules that a file imports, at its top or inside a function, as (dotted name, line)."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name}:{node.lineno} imports relatively; write the module's full name"
+            # `from eos_pin import robot` imports eos_pin.robot.
+            names = [node.module] if node.module != "eos_pin" else [f"eos_pin.{alias.name}" for alias in node.names]
+            yield from ((name, node.lineno) for name in names)
+
+
+def test_the_table_lists_every_module_and_no_other():
+    assert MODULES == sorted(ROWS), "add each new module of eos_pin to the table of this test, at its floor"
+    floors = [floor for floor, _ in ROWS.values()]
+    assert floors == sorted(floors)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_a_module_imports_only_what_is_below_it(module):
+    path = PACKAGE / f"{module}.py"
+    above = list(ROWS)
+    allowed = set(above[: above.index(module)])
+    for name, line in imported(path):
+        if name.split(".")[0] == "eos_pin":
+            other = name.split(".")[1]
+            assert other in allowed, f"{path.name}:{line} imports {other}, which does not lie above it in the table"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_a_module_uses_only_the_packages_its_row_names(module):
+    path = PACKAGE / f"{module}.py"
+    used = {name.split(".")[0] for name, _ in imported(path)} - sys.stdlib_module_names - {"eos_pin"}
+    if module != "errors":
+        used -= {"numpy", "jaxtyping"}
+    assert used == ROWS[module][1], f"{path.name} imports {sorted(used)}; its row says {sorted(ROWS[module][1])}"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_a_module_is_short_enough_to_be_read(module):
+    lines = len((PACKAGE / f"{module}.py").read_text(encoding="utf-8").splitlines())
+    assert lines <= 400, f"{module} has {lines} lines: split it by concept"
+
+
+def test_importing_the_package_is_light_and_silent():
+    """Viewers, plots, integrators and readers of URDF are imported where they are used."""
+    heavy = ["matplotlib", "meshcat", "tornado", "trimesh", "yourdfpy", "tyro", "rich", "joblib", "scipy.integrate"]
+    code = f"import sys, eos_pin; print([name for name in {heavy!r} if name in sys.modules])"
+    run = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
+    assert (run.stdout, run.stderr) == ("[]\n", "")
+
+
+def test_every_public_name_is_there():
+    import eos_pin
+
+    assert sorted(eos_pin.__all__, key=str.lower) == sorted(set(eos_pin.__all__), key=str.lower)
+    assert all(hasattr(eos_pin, name) for name in eos_pin.__all__)
