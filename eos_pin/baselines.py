@@ -16,7 +16,7 @@ from scipy.linalg import lapack
 
 from eos_pin.arrays import JointVector, VectorLike, readonly, spread, vector
 from eos_pin.controllers import TaskController
-from eos_pin.errors import SingularError
+from eos_pin.errors import InputError, SingularError
 from eos_pin.objectives import ReduceKineticEnergy
 from eos_pin.robot import Robot
 from eos_pin.tasks import Task
@@ -91,6 +91,8 @@ class PostureNullSpace(NullSpaceLaw):
         self.kp, self.kd = (readonly(spread(k, self.q.size, "a posture gain")) for k in (kp, kd))
 
     def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
+        if self.q.size != robot.n:
+            raise InputError(f"the posture has {self.q.size} joints, {robot.name!r} has {robot.n}")
         return robot.mass(q) @ (self.kp * (self.q - q) - self.kd * dq)
 
 

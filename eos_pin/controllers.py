@@ -169,7 +169,11 @@ class EosController(TaskController):
     def start(self, t: float, q: JointVector, dq: JointVector) -> EosMemory:
         memory = EosMemory(self.atlas.start(q))
         # A wrong shape of v_d or of its gains is refused here, not in the middle of a run.
-        self.self_motion.acceleration(t, q, dq, memory.chart)
+        try:
+            F_v = self.self_motion.acceleration(t, q, dq, memory.chart)
+        except ValueError as error:
+            raise InputError(f"the self-motion objective does not fit this robot and task: {error}") from error
+        vector(F_v, memory.chart.r, f"what {type(self.self_motion).__name__} asks of the self-motion")
         return memory
 
     def torque(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> JointVector:
@@ -244,23 +248,26 @@ class ControlLoop:
         """Forget the chart; the next step starts a run."""
         self.memory = None
 
-    def step(self, t: float, q: JointVector, dq: JointVector) -> JointVector:
+    def step(self, t: float, q: VectorLike, dq: VectorLike) -> JointVector:
         """Joint torques at time t [s] in the state (q, dq) [N m or N].
 
         Raises:
             StateError: q or dq has the wrong shape or is not finite; nothing is changed, the next step may go on.
             SingularError: The task is singular here.
         """
-        try:
-            finite = math.isfinite(q.dot(q) + dq.dot(dq)) and q.shape == dq.shape == (self._shape or q.shape)
-        except (AttributeError, TypeError, ValueError):
-            finite = False
-        if not finite:
-            q, dq = self._checked(q, "q"), self._checked(dq, "dq")
+        state = self._state(q, dq)
         if self.memory is None:
-            self.memory = self.controller.start(t, q, dq)
-        tau, self.memory = self.controller.step(t, q, dq, self.memory)
+            self.memory = self.controller.start(t, *state)
+        tau, self.memory = self.controller.step(t, *state, self.memory)
         return tau
+
+    def _state(self, q: Any, dq: Any) -> tuple[JointVector, JointVector]:
+        try:
+            if q.shape == dq.shape == (self._shape or q.shape) and math.isfinite(q.dot(q) + dq.dot(dq)):
+                return q, dq
+        except (AttributeError, TypeError, ValueError):
+            pass
+        return self._checked(q, "q"), self._checked(dq, "dq")
 
     def _checked(self, values: VectorLike, name: str) -> JointVector:
         try:

@@ -99,6 +99,8 @@ class Posture(Objective):
         self.kp, self.kd = (readonly(spread(k, self.q.size, "a posture gain")) for k in (kp, kd))
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        if self.q.size != q.size:
+            raise InputError(f"the posture has {self.q.size} joints, the robot {q.size}")
         return chart.Vt.dot(self.kp * (self.q - q) - self.kd * dq)
 
 

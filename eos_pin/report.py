@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -177,10 +178,10 @@ def write_json(path: Path, figures: Mapping[str, Any]) -> Path:
 def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
     """Table whose numbers stand right and whose words stand left."""
     filled = [[figure(cell) if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
-    table = Table(title=title)
+    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for i, name in enumerate(columns):
         numeric = all(row[i][:1] in "-0123456789in" for row in filled)
-        table.add_column(name, justify="right" if numeric else "left", no_wrap=i == 0)
+        table.add_column(name, justify="right" if numeric else "left", no_wrap=True)
     for row in filled:
         table.add_row(*row)
     return table

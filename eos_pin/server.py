@@ -46,15 +46,15 @@ class Server:
         self.page = b""
         #: What a browser that connects late is sent first, by kind of message.
         self.latest: dict[int, bytes] = {}
+        self._ready = threading.Event()
         self._closed = False
 
     def serve(self, page: str) -> None:
         """Answer from now on, in a thread that ends with the process."""
         self.page = page.encode()
-        self._loop = asyncio.new_event_loop()
-        self._closing = asyncio.Event()
-        self._thread = threading.Thread(target=self._run, name="eos_pin viewer", daemon=True)
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="eos_pin viewer", daemon=True)
         self._thread.start()
+        self._ready.wait()
 
     def send(self, kind: int, message: bytes, *, final: bool = False) -> None:
         """Send to all browsers; one that is still busy with an earlier message skips this one.
@@ -81,13 +81,6 @@ class Server:
         for browser in self.clients:
             browser.post(message, final=final)
 
-    def _run(self) -> None:
-        asyncio.set_event_loop(self._loop)
-        try:
-            self._loop.run_until_complete(self._serve())
-        finally:
-            self._loop.close()
-
     async def _serve(self) -> None:
         routes: list[Any] = [("/", _Page, {"server": self}), ("/motion", _Browser, {"server": self})]
         application = tornado.web.Application(log_function=lambda handler: None)
@@ -95,11 +88,14 @@ class Server:
         application.add_handlers(r"127\.0\.0\.1|localhost", routes)
         server = tornado.httpserver.HTTPServer(application)
         server.add_socket(self._socket)
+        self._loop, self._closing = asyncio.get_running_loop(), asyncio.Event()
+        self._ready.set()
         await self._closing.wait()
         server.stop()
-        for browser in tuple(self.clients):
-            browser.close(1001, "the run has ended")
-        await asyncio.sleep(0.05)
+        # A browser that is alive answers at once; one that hangs is not waited for.
+        closing = [browser.part() for browser in self.clients]
+        if closing:
+            await asyncio.wait([asyncio.ensure_future(each) for each in closing], timeout=1.0)
         await server.close_all_connections()
 
 
@@ -117,6 +113,7 @@ class _Browser(tornado.websocket.WebSocketHandler):
     def initialize(self, server: Server) -> None:
         self.server, self.busy = server, False
         self.waiting: set[asyncio.Task[None]] = set()
+        self.gone = asyncio.Event()
 
     def open(self, *args: str, **kwargs: str) -> None:
         self.set_nodelay(True)
@@ -132,6 +129,12 @@ class _Browser(tornado.websocket.WebSocketHandler):
             self.waiting.add(task)
             task.add_done_callback(self.waiting.discard)
 
+    async def part(self) -> None:
+        """Send what is still to be sent, say goodbye, and wait for the answer."""
+        await asyncio.gather(*self.waiting)
+        self.close(1001, "the run has ended")
+        await self.gone.wait()
+
     async def _write(self, message: bytes) -> None:
         try:
             await self.write_message(message, binary=True)
@@ -145,3 +148,4 @@ class _Browser(tornado.websocket.WebSocketHandler):
 
     def on_close(self) -> None:
         self.server.clients.discard(self)
+        self.gone.set()

@@ -189,7 +189,10 @@ class Spline(Trajectory):
     closed: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "period" if self.closed else "duration", self.end - self.start)
+        if self.closed:
+            object.__setattr__(self, "period", self.end - self.start)
+        else:
+            object.__setattr__(self, "duration", self.end)
 
     @cached_property
     def _derivatives(self) -> tuple[Any, Any, Any]:
@@ -233,6 +236,8 @@ def cubic_spline(points: Sequence[VectorLike] | Array, times: VectorLike, *, clo
     points, times = _knots(points, times)
     if closed is None:
         closed = len(points) > 2 and np.array_equal(points[0], points[-1])
+    elif closed and not np.array_equal(points[0], points[-1]):
+        raise InputError(f"the first and last point of a closed path must be equal, got {points[0]} and {points[-1]}")
     curve = CubicSpline(times, points, bc_type="periodic" if closed else "clamped")
     return Spline(curve, float(times[0]), float(times[-1]), closed)
 
@@ -261,6 +266,10 @@ def spline_from_csv(path: str | Path) -> Spline:
             raise InputError(
                 f"{path}, line {i}: expected {max(len(rows[0]), 2)} columns (t, z1, …, zm), got {len(row)}"
             )
+        if not np.isfinite(rows[-1]).all():
+            raise InputError(f"{path}, line {i}: every entry must be finite, got {row}")
+        if len(rows) > 1 and not rows[-1][0] > rows[-2][0]:
+            raise InputError(f"{path}, line {i}: the times must increase, got {rows[-1][0]} after {rows[-2][0]}")
     if len(rows) < 2:
         raise InputError(f"{path}: a path needs at least two rows t, z1, …, zm; found {len(rows)}")
     table = np.array(rows)
@@ -314,6 +323,8 @@ class StackedTrajectory(Trajectory):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", tuple(self.parts))
+        if not self.parts:
+            raise InputError("a stacked trajectory needs at least one part")
         periods = sorted({part.period for part in self.parts if part.period < math.inf})
         if len(periods) > 1:
             raise InputError(f"the parts of a stacked trajectory repeat after different times: {periods} s")

@@ -25,7 +25,7 @@ from eos_pin.errors import RobotError, UnknownNameError, suggest
 LARGEST_FILE = 64 * 2**20
 #: Links in a row: Pinocchio's parser calls itself for each of them, and its stack overflows beyond 3000.
 DEEPEST_TREE = 2000
-#: Position limit that stands for none; `Robot.lower` and `Robot.upper` show it as infinite.
+#: Numbers from here on count as infinite, as they do in `Robot.lower` and `Robot.upper`.
 UNLIMITED = 1e30
 
 ONE_DEGREE = ("revolute", "continuous", "prismatic")
@@ -261,8 +261,8 @@ class Checker:
             values = tuple(float(part) for part in text.split())
         except ValueError:
             values = ()
-        if len(values) != count or any(math.isnan(x) or (math.isinf(x) and not infinite) for x in values):
-            wanted = "a number" if count == 1 else f"{count} numbers"
+        if len(values) != count or any(math.isnan(x) or (abs(x) >= UNLIMITED and not infinite) for x in values):
+            wanted = "a finite number" if count == 1 else f"{count} finite numbers"
             raise self.fail(element, f'{key}="{text}" of <{element.tag}> is not {wanted}')
         element.set(key, _text(values))
         return values
