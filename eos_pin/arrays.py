@@ -25,14 +25,14 @@ Jacobian: TypeAlias = Float[np.ndarray, "m n"]
 VectorLike: TypeAlias = Sequence[float] | np.ndarray
 
 
-def readonly(array: Array) -> Array:
-    """Read-only float copy of `array`; later writes to the original do not reach it."""
-    copy = np.array(array, dtype=float)
+def readonly(array: Array, kind: type = float) -> Array:
+    """Read-only copy of `array`, of floats unless said otherwise; later writes to the original do not reach it."""
+    copy: Array = np.array(array, dtype=kind)
     copy.flags.writeable = False
     return copy
 
 
-def numbers(values: VectorLike | float, name: str) -> Array:
+def numbers(values: VectorLike | Sequence[VectorLike] | float, name: str) -> Array:
     """Float array of any shape.
 
     Raises:

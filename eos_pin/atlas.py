@@ -20,6 +20,7 @@ from eos_pin.arrays import (
     SelfMotionVector,
     VectorLike,
     number,
+    numbers,
     readonly,
     vector,
 )
@@ -100,7 +101,7 @@ class Atlas:
     def follow(
         self,
         q: VectorLike,
-        path: Iterable[Point] | Float[Array, "K size"],
+        path: Iterable[VectorLike] | Float[Array, "K size"],
         *,
         v: SelfMotionPath | None = None,
         chart: Chart | None = None,
@@ -126,7 +127,7 @@ class Atlas:
             SingularError: The task is singular at q.
             InputError: Wrong shapes.
         """
-        points = np.atleast_2d(np.asarray(path if isinstance(path, np.ndarray) else list(path), dtype=float))
+        points = np.atleast_2d(numbers(path if isinstance(path, np.ndarray) else list(path), "a path"))
         if points.ndim != 2 or points.shape[1] != self.task.size or not np.isfinite(points).all():
             raise InputError(
                 f"a path of {self.task!r} must be finite and of shape (K, {self.task.size}), got {points.shape}"
@@ -134,7 +135,7 @@ class Atlas:
         chart = chart or self.start(q)
         traveller = _Traveller(self, chart, vector(q, chart.n, "q"), tol)
         v_of = _self_motion(v, traveller.v, len(points))
-        q_path, v_path, numbers, residual, message = [], [], [], 0.0, ""
+        q_path, v_path, chart_path, residual, message = [], [], [], 0.0, ""
         for k, z in enumerate(points):
             v_k = v_of(k)
             if not traveller.go(z, v_k):
@@ -142,14 +143,14 @@ class Atlas:
                 break
             q_path.append(traveller.inverse.q)
             v_path.append(v_k)
-            numbers.append(len(traveller.charts) - 1)
+            chart_path.append(len(traveller.charts) - 1)
             residual = max(residual, traveller.inverse.residual)
         reached = len(q_path)
         return JointPath(
             q=readonly(np.reshape(q_path, (reached, chart.n))),
             z=readonly(points[:reached]),
             v=readonly(np.reshape(v_path, (reached, chart.r))),
-            chart=np.array(numbers, dtype=np.int64),
+            chart=readonly(np.reshape(chart_path, reached), int),
             charts=tuple(traveller.charts),
             residual=residual,
             iterations=traveller.iterations,
@@ -211,7 +212,7 @@ def _self_motion(v: SelfMotionPath | None, start: SelfMotionVector, count: int) 
         return lambda k: start
     if callable(v):
         return lambda k: vector(v(k), r, f"v({k})")
-    values = np.asarray(v, dtype=float)
+    values = numbers(v, "v")
     if values.ndim == 2:
         if values.shape != (count, r) or not np.isfinite(values).all():
             raise InputError(f"v along the path must be finite and of shape ({count}, {r}), got {values.shape}")

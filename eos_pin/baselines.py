@@ -17,6 +17,7 @@ from scipy.linalg import lapack
 from eos_pin.arrays import JointVector, VectorLike, readonly, spread, vector
 from eos_pin.controllers import TaskController
 from eos_pin.errors import InputError, SingularError
+from eos_pin.linear import RANK_TOLERANCE, check_rank
 from eos_pin.objectives import ReduceKineticEnergy
 from eos_pin.robot import Robot
 from eos_pin.tasks import Task
@@ -147,7 +148,10 @@ class TaskSpaceController(TaskController):
         L, _ = lapack.dpotrf(model.mass(q), lower=1)
         Y, _ = lapack.dtrtrs(L, point.J.T, lower=1)
         y, _ = lapack.dtrtrs(L, bias - null, lower=1)
-        _, _, force, info = lapack.dgesv(Y.T.dot(Y), ddz + Y.T.dot(y))
+        R, force, info = lapack.dposv(Y.T.dot(Y), ddz + Y.T.dot(y))
+        diagonal = R.diagonal().tolist()
+        if info or min(diagonal) <= RANK_TOLERANCE * max(diagonal):
+            check_rank(point.J)
         if info:
             raise SingularError("the task is singular here: its mass matrix Λ does not exist", 0, ())
         return point.J.T.dot(force) + null

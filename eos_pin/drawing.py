@@ -19,13 +19,16 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 
 from eos_pin.arrays import Array, Vector
 from eos_pin.results import Result
 
 #: Widths of a column and of a page of a two-column paper [in].
 COLUMN, PAGE = 3.4, 7.0
+
+#: Curves that move less than this are drawn as the constants they are, not as rounding errors [rad or m].
+STILL = 0.02
 
 #: What differs from matplotlib's own defaults; sizes are for a figure printed at its own width.
 STYLE: dict[str, Any] = {
@@ -119,13 +122,13 @@ def draw_lines(ax: Axes, t: Vector, values: Float[Array, "T n"], symbol: str) ->
         bar.ax.tick_params(length=0, labelsize=6)
         bar.outline.set_visible(False)
     count = len(ax.get_legend_handles_labels()[1])
-    draw_legend(ax, count if count <= 5 else 4)
+    draw_legend(ax, count if count <= 5 else (count + 1) // 2)
     return colors
 
 
 def _dashes(values: Float[Array, "T n"], i: int) -> Any:
     """Dashes for a curve that would hide an earlier one, so that both are seen; the more it would hide, the shorter."""
-    near = 0.01 * (np.ptp(values) or 1.0)
+    near = 0.01 * max(float(np.ptp(values)), STILL)
     hidden = sum(bool(np.abs(values[:, i] - values[:, k]).max(initial=0.0) < near) for k in range(i))
     length = 8.0 / 2.0 ** min(hidden, 3)
     return (0.0, (length, 8.0 - length)) if hidden else "-"
@@ -142,6 +145,7 @@ def draw_legend(ax: Axes, columns: int) -> None:
     legend = ax.legend(handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns)
     for line in legend.get_lines():
         line.set_linewidth(min(line.get_linewidth(), 2.5))
+        line.set_linestyle("-" if line.get_linestyle() == "--" else line.get_linestyle())
 
 
 def draw_nothing(ax: Axes, why: str) -> None:
@@ -160,11 +164,28 @@ def name_time(ax: Axes, *results: Result) -> None:
 
 def name_axes(ax: Axes, names: Sequence[str], *, equal: bool = False) -> None:
     """Label the axes, and with `equal` give them one scale."""
-    for axis, name in zip("xyz", names, strict=False):
-        getattr(ax, f"set_{axis}label")(name)
-        getattr(ax, f"{axis}axis").set_major_locator(MaxNLocator(3 if is_solid(ax) else 6))
     if equal:
-        ax.set_aspect("equal", adjustable="datalim")
+        ax.set_aspect("equal", adjustable="box" if is_solid(ax) else "datalim")
+    spans = [float(np.ptp(getattr(ax, f"get_{axis}lim")())) for axis in "xyz"[: len(names)]]
+    for axis, name, span in zip("xyz", names, spans, strict=False):
+        getattr(ax, f"set_{axis}label")(name)
+        count = 6 if not is_solid(ax) else 1 if equal and span < 0.4 * max(spans) else 3
+        getattr(ax, f"{axis}axis").set_major_locator(MaxNLocator(count, min_n_ticks=1))
+
+
+def use_decades(ax: Axes) -> None:
+    """Make the vertical axis logarithmic, over one decade at least, with whole decades named."""
+    ax.set_yscale("log")
+    low, high = ax.get_ylim()
+    if high < 10.0 * low:
+        middle = (low * high) ** 0.5
+        ax.set_ylim(middle / 4.0, middle * 4.0)
+    ax.yaxis.set_minor_locator(NullLocator())
+
+
+def shortened(name: str, most: int = 26) -> str:
+    """A name that leaves room for others; one with TeX in it is short as it is seen."""
+    return name if len(name) <= most or "$" in name else f"{name[: most - 1]}…"
 
 
 def focus(ax: Axes, result: Result, values: Array) -> None:
@@ -176,7 +197,7 @@ def focus(ax: Axes, result: Result, values: Array) -> None:
     if np.ptp(values) > 4.0 * span > 4e-3 * np.ptp(values):
         ax.set_ylim(min(late.min() - 0.3 * span, 0.0), late.max() + 0.3 * span)
         peak = values.flat[np.abs(values).argmax()]
-        ax.text(0.03, 0.98, f"start-up to {peak:.3g}", transform=ax.transAxes, va="top", fontsize=6, color="#606060")
+        ax.text(0.03, 0.98, f"start-up to {peak:.4g}", transform=ax.transAxes, va="top", fontsize=6, color="#606060")
 
 
 def add_axes(figure: Figure, place: Any, *, solid: bool = False) -> Axes:

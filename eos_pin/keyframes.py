@@ -24,6 +24,7 @@ from eos_pin.drawing import (
     is_solid,
     largest,
     name_axes,
+    shortened,
 )
 from eos_pin.loading import leaf_frames
 from eos_pin.panels import joints_at, key_times, places
@@ -62,7 +63,7 @@ def plot_key_frames(
     """
     if times is None:
         times = key_times(result, per_cycle=8, first=max(result.cycles - 1, 0))
-    times = np.atleast_1d(np.asarray(times, dtype=float))
+    times = np.asarray(times, dtype=float)
     task = result.info.get("task") or {}
     if trace is None:
         trace = [task["frame"]] if task.get("frame") else leaf_frames(robot)
@@ -90,7 +91,7 @@ def plot_key_frames(
     between = joints_at(result, np.linspace(times[0], times[-1], 300))
     for k, name in enumerate(trace):
         path = _path_of(robot, name, between)[:, columns]
-        ax.plot(*path.T, color=(ACTUAL, ORANGE, GREEN, PURPLE)[k % 4], zorder=4, label=f"path of {name}")
+        ax.plot(*path.T, color=(ACTUAL, ORANGE, GREEN, PURPLE)[k % 4], zorder=4, label=f"path of {shortened(name)}")
     name_axes(ax, [f"{'xyz'[i]} [m]" for i in columns], equal=True)
     if label_times and trace and not is_solid(ax):
         _label_times(ax, times.tolist(), _path_of(robot, trace[0], joints_at(result, times))[:, columns])

@@ -16,6 +16,7 @@ PREFIX = "example-robot-data:"
 BUNDLED = {
     "ppr": "planar, Sec. 4.3: two sliders and a link; one degree of redundancy",
     "planar_chain_10": "planar, Sec. 6: two sliders and eight links; eight degrees of redundancy",
+    "planar_chain_23": "planar: 23 links; twenty degrees of redundancy for position and heading",
 }
 
 

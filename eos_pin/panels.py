@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 
 from eos_pin.arrays import Array, Vector, VectorLike
 from eos_pin.drawing import (
@@ -19,6 +19,7 @@ from eos_pin.drawing import (
     LIMIT,
     MARK,
     REFERENCE,
+    STILL,
     VERMILION,
     colors_of,
     draw_legend,
@@ -30,13 +31,11 @@ from eos_pin.drawing import (
     largest,
     name_axes,
     name_time,
+    use_decades,
 )
 from eos_pin.errors import InputError
 from eos_pin.results import Result
 from eos_pin.robot import Robot
-
-#: Self-motion that changes less than this is drawn as the constant it is [rad or m].
-STILL = 0.02
 
 
 def plot_path(ax: Axes, result: Result) -> None:
@@ -63,13 +62,14 @@ def plot_path(ax: Axes, result: Result) -> None:
 def plot_joints(ax: Axes, result: Result, robot: Robot | None = None, *, per_cycle: int = 1) -> None:
     """Joints over time, with a grey line and dots at each exact 1/`per_cycle` of the reference's period."""
     colors = draw_lines(ax, result.t, result.q, "q")
-    times = key_times(result, per_cycle=per_cycle) if result.cycles else np.zeros(0)
-    # More marks than these would be a grey area.
-    times = times[:: 1 + len(times) // 50]
-    for t in times:
-        ax.axvline(t, color=MARK, linewidth=0.5, zorder=0)
-    for color, row in zip(colors, joints_at(result, times).T, strict=True):
-        ax.plot(times, row, "o", color=color, markersize=2.4, clip_on=False)
+    if result.cycles:
+        times = key_times(result, per_cycle=per_cycle)
+        # More marks than these would be a grey area.
+        times = times[:: 1 + len(times) // 50]
+        for t in times:
+            ax.axvline(t, color=MARK, linewidth=0.5, zorder=0)
+        for color, row in zip(colors, joints_at(result, times).T, strict=True):
+            ax.plot(times, row, "o", color=color, markersize=2.4, clip_on=False)
     name_time(ax, result)
     _set_ylabel(ax, "joints", joint_units(robot))
 
@@ -151,8 +151,9 @@ def plot_errors(ax: Axes, result: Result) -> None:
     if not curves:
         return draw_nothing(ax, "nothing was asked for")
     for name, error, color in curves:
-        ax.semilogy(result.t, _positive(np.linalg.norm(error, axis=1)), color=color, label=name)
+        ax.plot(result.t, _positive(np.linalg.norm(error, axis=1)), color=color, label=name)
     name_time(ax, result)
+    use_decades(ax)
     ax.set_ylabel("error")
     return draw_legend(ax, 3)
 
@@ -163,7 +164,8 @@ def plot_task_error(ax: Axes, results: Mapping[str, Result]) -> None:
         if np.isfinite(result.error).any():
             error, color = np.linalg.norm(result.error, axis=1), colors_of(results)[k]
             # The first one, which the others are compared with, lies on top.
-            ax.semilogy(result.t, _positive(error), color=color, linewidth=0.9, label=name, zorder=3.0 - 0.01 * k)
+            ax.plot(result.t, _positive(error), color=color, linewidth=0.9, label=name, zorder=3.0 - 0.01 * k)
+    use_decades(ax)
     name_time(ax, *results.values())
     _set_ylabel(ax, "task error", [unit for result in results.values() for unit in task_units(result)])
 
@@ -176,8 +178,7 @@ def plot_kinetic_energy(ax: Axes, results: Result | Mapping[str, Result]) -> Non
         ax.plot(result.t, result.kinetic_energy, color=color, label=name or None, zorder=3.0 - 0.01 * k)
     means = [mean for result in runs.values() if (mean := result.mean(result.kinetic_energy)) > 0.0]
     if means and max(means) > 30.0 * min(means):
-        ax.set_yscale("log")
-        ax.yaxis.set_minor_locator(NullLocator())
+        use_decades(ax)
         # Where a motion turns, its energy is zero; that is no reason to show ten decades.
         ax.set_ylim(bottom=1e-2 * min(means))
     else:
@@ -196,7 +197,8 @@ def plot_drift(ax: Axes, results: Result | Mapping[str, Result], robot: Robot | 
     for k, (name, result) in enumerate(runs.items()):
         drift, color = _positive(result.joint_drift_per_cycle), colors_of(runs)[k] if name else ACTUAL
         cycles = 1 + np.arange(len(drift))
-        ax.semilogy(cycles, drift, "o-", color=color, markersize=3, label=name or None, zorder=3.0 - 0.01 * k)
+        ax.plot(cycles, drift, "o-", color=color, markersize=3, label=name or None, zorder=3.0 - 0.01 * k)
+    use_decades(ax)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set_xlabel("cycle")
     return _set_ylabel(ax, "joint drift", joint_units(robot))

@@ -14,7 +14,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from eos_pin.arrays import VectorLike
-from eos_pin.drawing import COLUMN, PAGE, add_axes, colors_of, draw_legend, style
+from eos_pin.drawing import COLUMN, PAGE, add_axes, colors_of, draw_legend, shortened, style
 from eos_pin.errors import EosError, InputError
 from eos_pin.files import write_atomically
 from eos_pin.keyframes import Obstacles, is_spatial, plot_key_frames
@@ -115,9 +115,9 @@ def comparison(results: Mapping[str, Result], robot: Robot | None = None) -> Fig
     plot_task_error(axes[0], results)
     plot_drift(axes[1], results, robot)
     plot_kinetic_energy(axes[2], results)
-    lines = dict(zip(results, axes[2].lines, strict=True))
-    figure.legend(lines.values(), lines.keys(), loc="outside upper center", ncols=4)
-    for k, ((name, result), color) in enumerate(zip(results.items(), colors_of(results), strict=True)):
+    names = [shortened(name) for name in results]
+    figure.legend(axes[2].lines, names, loc="outside upper center", ncols=4)
+    for k, (name, result, color) in enumerate(zip(names, results.values(), colors_of(results), strict=True)):
         ax = add_axes(figure, orbits[divmod(k, columns)])
         plot_orbit(ax, result, robot, color=color)
         drift = result.joint_drift_per_cycle
@@ -183,7 +183,7 @@ def save(figure: Figure, path: str | Path) -> Path:
 
     Raises:
         InputError: The suffix is none of these.
-        ResultError: The file cannot be written.
+        OutputError: The file cannot be written.
     """
     path = Path(path)
     suffix = path.suffix.lower().removeprefix(".")

@@ -23,6 +23,10 @@ Observer: TypeAlias = Callable[[float, JointVector], None]
 class Stop(Exception):  # noqa: N818 - an ending, not an error
     """Ends a run with a status and a message."""
 
+    def __init__(self, status: str, message: str) -> None:
+        self.status, self.message = status, message
+        super().__init__(message)
+
 
 class Recorder:
     """Collects samples, and how the run ended."""
@@ -60,23 +64,13 @@ class Recorder:
 
     @contextmanager
     def until_it_ends(self) -> Iterator[None]:
-        """Turn whatever ends the run early into a status and a message."""
+        """Turn whatever ends the run early into a status and a message; before the first sample it is raised."""
         try:
             yield
-        except Stop as stop:
-            self.status, self.message = stop.args
-        except SingularError as error:
-            self.status, self.message = "singular", f"the run ended at t = {self._reached:.4g} s: {error}"
-        except ChartError as error:
-            self.status, self.message = "chart_lost", f"the run ended at t = {self._reached:.4g} s: {error}"
-        except EosError as error:
-            self.status, self.message = "failed", f"the run ended at t = {self._reached:.4g} s: {error}"
-        except KeyboardInterrupt:
-            self.status, self.message = "interrupted", f"interrupted at t = {self._reached:.4g} s"
-
-    @property
-    def _reached(self) -> float:
-        return self._rows[-1][0] if self._rows else 0.0
+        except (Stop, EosError, KeyboardInterrupt) as ending:
+            if not self._rows:
+                raise
+            self.status, self.message = _ending(ending, self._rows[-1][0])
 
     def result(self) -> Result:
         """The run as a value; what follows from the state is computed here, out of the loop's way."""
@@ -120,6 +114,7 @@ class Recorder:
                 "urdf_sha256": plant.urdf_sha256,
             },
             "task": task.describe() if task else None,
+            "force_task": force.task.describe() if force else None,
             "controller": controller.describe(),
             "arguments": self.arguments,
             "cpu_seconds": cpu,
@@ -141,6 +136,17 @@ class Recorder:
             message=self.message,
             info=info,
         )
+
+
+def _ending(ending: BaseException, t: float) -> tuple[str, str]:
+    """Status and message of a run that came to time t."""
+    if isinstance(ending, Stop):
+        return ending.status, ending.message
+    if isinstance(ending, KeyboardInterrupt):
+        return "interrupted", f"interrupted at t = {t:.4g} s"
+    kinds = {SingularError: "singular", ChartError: "chart_lost"}
+    status = next((status for kind, status in kinds.items() if isinstance(ending, kind)), "failed")
+    return status, f"the run ended at t = {t:.4g} s: {ending}"
 
 
 def sample_times(duration: float, rate: float, period: float) -> Array:

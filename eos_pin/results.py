@@ -49,7 +49,7 @@ class Result:
         dz: Task velocities, (T, m).
         z_ref: Task points that were asked for, (T, size).
         error: Task error `minus(z_ref, z)` [m, rad], (T, m).
-        task_force: Force of the environment on the task [N, N m], (T, m).
+        task_force: Force of the environment on the task, or on that of the `TaskForce` [N, N m], (T, k).
         v: Self-motion coordinates, (T, r).
         dv: Self-motion velocities, (T, r).
         v_ref: Self-motion that was asked for, NaN where none was, (T, r).
@@ -72,7 +72,7 @@ class Result:
     dz: Float[Array, "T m"]
     z_ref: Float[Array, "T size"]
     error: Float[Array, "T m"]
-    task_force: Float[Array, "T m"]
+    task_force: Float[Array, "T k"]
     v: Float[Array, "T r"]
     dv: Float[Array, "T r"]
     v_ref: Float[Array, "T r"]
@@ -189,9 +189,12 @@ class Result:
         found: dict[str, float] = {}
         if self.info.get("task"):
             task = task_from(robot, self.info["task"])
-            points = [task.linearize(q) for q in self.q]
-            found["task"] = _largest(np.array([task.minus(z, p[0]) for z, p in zip(self.z, points, strict=True)]))
-            torque -= np.array([p[1].T @ f for p, f in zip(points, self.task_force, strict=True)])
+            rows = zip(self.q, self.z, strict=True)
+            found["task"] = _largest(np.array([task.minus(z, task.value(q)) for q, z in rows]))
+        if self.info.get("force_task"):
+            pushed = task_from(robot, self.info["force_task"])
+            rows = zip(self.q, self.task_force, strict=True)
+            torque -= np.array([pushed.linearize(q)[1].T @ f for q, f in rows])
         energy = np.array(
             [robot.kinetic_energy(q, dq) + robot.potential_energy(q) for q, dq in zip(self.q, self.dq, strict=True)]
         )
@@ -257,6 +260,8 @@ class Result:
                 if header.get("format") != FORMAT:
                     raise ResultError(f"{path} has format {header.get('format')!r}, this version reads {FORMAT!r}")
                 arrays = {name: file[name] for name in _ARRAYS}
+            period = header["period"] if header["period"] is not None else math.inf
+            return cls(**arrays, period=period, status=header["status"], message=header["message"], info=header["info"])
         except (
             OSError,
             ValueError,
@@ -270,8 +275,6 @@ class Result:
                 f"{path} cannot be read as a result of eos_pin: {error or type(error).__name__}. Results are the .npz "
                 "files that `eos-pin track` and Result.save write"
             ) from error
-        period = header["period"] if header["period"] is not None else math.inf
-        return cls(**arrays, period=period, status=header["status"], message=header["message"], info=header["info"])
 
     def to_csv(self, path: str | Path) -> Path:
         """Write the samples as a table, a row per time and a named column per number."""

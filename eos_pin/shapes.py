@@ -14,7 +14,7 @@ import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ class Shapes:
         urdf: Text of a URDF in which each mesh has an absolute path, as `resolve_shapes` makes it.
     """
 
-    urdf: str
+    urdf: str = field(repr=False)
 
     @cached_property
     def visual(self) -> pin.GeometryModel:

@@ -25,6 +25,10 @@ Method: TypeAlias = Literal["DOP853", "RK45", "LSODA", "Radau", "BDF"]
 MOST_STEPS = 5_000
 #: A step this short [s] whose trial points still leave the chart ends the run.
 SHORTEST_STEP = 1e-9
+#: A joint velocity [rad/s or m/s] that no robot has.
+TOO_FAST = 1e4
+#: Where the smallest singular value of G' is this fraction of the largest, a singularity is why the joints were fast.
+NEARLY_SINGULAR = 0.05
 
 
 @dataclass(frozen=True)
@@ -168,11 +172,13 @@ def simulate_sampled(
     q, dq = _state(plant, q, dq)
     period = number(period, "the control period", above=0.0)
     lag = round(number(delay, "the delay", at_least=0.0) / period)
-    if substeps < 1:
-        raise InputError(f"substeps must be at least 1, got {substeps}")
+    if substeps < 1 or substeps != int(substeps):
+        raise InputError(f"substeps must be a whole number of at least 1, got {substeps}")
     limits = None
     if torque_limits is not False:
         limits = plant.effort if torque_limits is True else spread(torque_limits, plant.n, "the torque limits")
+        if not (limits > 0.0).all():
+            raise InputError(f"the torque limits must be above 0, got {limits.tolist()}")
     random = np.random.default_rng(seed)
     system = JointSystem(plant, controller, task_force)
     system.begin(q, dq)
@@ -191,7 +197,7 @@ def simulate_sampled(
     measured: list[tuple[JointVector, JointVector]] = []
     x = np.concatenate((q, dq, [0.0]))
     n = plant.n
-    with record.until_it_ends():
+    with record.until_it_ends(), np.errstate(over="ignore", invalid="ignore"):
         for k in range(steps):
             t, end = k * period, min((k + 1) * period, duration)
             state = x[:n].copy(), x[n : 2 * n].copy()
@@ -211,11 +217,7 @@ def simulate_sampled(
             for sample in record.due(t, end):
                 record.add(sample, _runge_kutta(system, t, x, tau, sample - t, substeps) if sample > t else x, tau)
             x = _runge_kutta(system, t, x, tau, end - t, substeps)
-            if not math.isfinite(x.dot(x)):
-                raise Stop(
-                    "diverged",
-                    f"the state is no longer finite at t = {end:.4g} s; lower the gains or the period",
-                )
+            _check_speed(system, end, x)
         record.add(duration, x, tau)
     return record.result()
 
@@ -238,7 +240,7 @@ def _integrate(
     record = Recorder(system, sample_times(duration, rate, system.reference_period), arguments, observer)
     options = {"rtol": arguments["rtol"], "atol": arguments["atol"]}
     make = getattr(scipy.integrate, arguments["method"])
-    with record.until_it_ends():
+    with record.until_it_ends(), np.errstate(over="ignore", invalid="ignore"):
         t = 0.0
         record.add(t, x)
         solver: Any = None
@@ -258,8 +260,7 @@ def _integrate(
             x, shorter = solver.y, None
             if solver.status == "failed":
                 raise Stop("integration_failed", f"the integrator gave up at t = {solver.t:.4g} s: {message}")
-            if not math.isfinite(solver.y.dot(solver.y)):
-                raise Stop("diverged", f"the state is no longer finite at t = {solver.t:.4g} s")
+            _check_speed(system, solver.t, solver.y)
             worn = system.margin(solver.t, solver.y) <= 0.0
             dense = solver.dense_output()
             end = _worn_at(system, solver, dense) if worn else solver.t
@@ -284,6 +285,27 @@ def _worn_at(system: System, solver: Any, dense: Any) -> float:
 
     # A step begins with a margin that is left, just after a switch with one near 1.
     return float(brentq(lambda t: system.margin(t, dense(t)), solver.t_old, solver.t, xtol=1e-12))
+
+
+def _check_speed(system: System, t: float, x: Vector) -> None:
+    """End a run whose joints have run away, and say why."""
+    q, dq = system.joints(x)
+    if dq.dot(dq) < TOO_FAST**2:
+        return
+    task = getattr(system.controller, "task", None)
+    if task is not None and math.isfinite(x.dot(x)):
+        values = np.linalg.svd(task.linearize(q)[1], compute_uv=False)
+        if values[-1] < NEARLY_SINGULAR * values[0]:
+            raise Stop(
+                "singular",
+                f"no bounded joint velocity follows the path at t = {t:.4g} s: it leads out of reach or through a "
+                f"singularity of the task (singular values of its Jacobian from {values[-1]:.2g} to {values[0]:.2g}). "
+                "Make the path smaller, or start elsewhere",
+            )
+    raise Stop(
+        "diverged",
+        f"the joints ran away at t = {t:.4g} s; lower the gains or the control period, or make the path smaller",
+    )
 
 
 def _runge_kutta(system: JointSystem, t: float, x: Vector, tau: JointVector, length: float, substeps: int) -> Vector:

@@ -10,7 +10,6 @@ import base64
 import gzip
 import importlib.util
 import os
-import secrets
 import time
 import webbrowser
 from functools import cache
@@ -21,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eos_pin.arrays import Array, JointVector, Vector, VectorLike, number, vector
-from eos_pin.errors import ViewerError
+from eos_pin.files import write_atomically
 from eos_pin.scene import Scene, sampled
 
 #: Kinds of message to a live page: one more frame of a run, or a whole motion instead of what the page has.
@@ -48,21 +47,11 @@ def write_html(
 
     Raises:
         InputError: `t` and `q` do not fit each other or the robot.
-        ViewerError: The file cannot be written.
+        OutputError: The file cannot be written.
     """
     path = Path(path)
     html = page(scene.pack(*sampled(scene.robot, t, q, rate=fps)))
-    beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        try:
-            beside.write_text(html, encoding="utf-8")
-            beside.replace(path)
-        finally:
-            beside.unlink(missing_ok=True)
-    except OSError as error:
-        raise ViewerError(
-            f"cannot write {path}: {error.strerror}; choose a folder that exists and is writable"
-        ) from error
+    write_atomically(path, lambda file: file.write(html.encode()))
     return path
 
 

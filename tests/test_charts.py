@@ -16,6 +16,7 @@ from eos_pin import Chart, ChartError, InputError, InverseError, SingularError, 
 TASKS = all_tasks()
 every = pytest.mark.parametrize("task", [task for _, task in TASKS], ids=[name for name, _ in TASKS])
 seeds = st.integers(0, 2**32 - 1)
+HOME = (0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8)  # panda, elbow bent
 WORST = 1e3  # condition number of G' up to which configurations are tried
 
 
@@ -124,8 +125,8 @@ def test_joints_follow_v_and_z_as_h_says(task):
         np.testing.assert_allclose(slope, H[:, k], atol=1e-6 * max(1.0, np.abs(H).max() ** 3))
 
 
-def _regular_state(task):
-    random = np.random.default_rng(0)
+def _regular_state(task, seed=0):
+    random = np.random.default_rng(seed)
     lower, upper = np.clip(task.robot.lower, -3, 3), np.clip(task.robot.upper, -3, 3)
     trials = (random.uniform(lower, upper) for _ in range(100))
     return next(q for q in trials if np.linalg.cond(task.linearize(q)[1]) < 30)
@@ -171,7 +172,9 @@ def test_b_has_quadratic_convergence(panda):
 def test_h_recovers_the_joints(task, data):
     """Eq. (13): on its chart a configuration is the one that has its (z, v)."""
     chart = Chart.at(task, regular(data, task))
-    q = near(data, chart, distance=0.1, margin=0.8)
+    # The chart is as large as the smallest singular value of G' allows.
+    room = min(1.0, np.linalg.svd(chart.U, compute_uv=False)[-1])
+    q = near(data, chart, distance=0.1 * room, margin=0.8)
     z, v = task.value(q), chart.v(q)
     found = chart.inverse(z, v)
     tolerance = 2 * SOLVED * np.linalg.norm(np.linalg.inv(np.vstack((task.linearize(q)[1], chart.V.T))), 2)
@@ -208,44 +211,53 @@ def test_a_warm_start_needs_few_steps(task):
         np.testing.assert_allclose(chart.v(known.q), chart.v(q), atol=10 * EXACT)
 
 
-@pytest.mark.parametrize("name", ["position xyz", "pose", "orientation"])
-def test_far_points_are_walked_to_along_the_connected_solution(panda, name):
-    """What one call finds far away is what a hundred small steps along the straight line in (z, v) lead to."""
+@pytest.mark.parametrize(
+    ("name", "size"), [("position xyz", 0.15), ("pose", 0.15), ("orientation", 0.5), ("com xyz", 0.05)]
+)
+def test_a_long_step_finds_the_connected_solution(panda, name, size):
+    """What one call finds is what fifty small steps along the straight line in (z, v) lead to, and nothing is missed."""
     task, random = every_task(panda)[name], np.random.default_rng(7)
-    chart = Chart.at(task, [0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8])
-    far = 0
-    for _ in range(20):
-        delta = random.uniform(-0.5, 0.5, task.m)
-        v = 0.3 * random.normal(size=chart.r)
-        try:
-            found = chart.inverse(task.plus(chart.z_bar, delta), v)
-        except InverseError:
-            continue
+    found = 0
+    for seed in range(12):
+        chart = Chart.at(task, _regular_state(task, seed))
+        delta, v = random.uniform(-size, size, task.m), 0.1 * random.normal(size=chart.r)
+        goal = task.plus(chart.z_bar, delta), v
         step = None
-        for s in np.linspace(0.01, 1.0, 100):
-            step = chart.inverse(task.plus(chart.z_bar, s * delta), s * v, start=step, walking=False)
-        J = task.linearize(found.q)[1]
-        tolerance = 4 * SOLVED * np.linalg.norm(np.linalg.inv(np.vstack((J, chart.V.T))), 2)
-        np.testing.assert_allclose(found.q, step.q, atol=tolerance)
-        far += 1
-    assert far >= 5
+        try:
+            for s in np.linspace(0.02, 1.0, 50):
+                step = chart.inverse(task.plus(chart.z_bar, s * delta), s * v, start=step, walking=False)
+        except InverseError:
+            with pytest.raises(InverseError):
+                chart.inverse(*goal)
+            continue
+        tolerance = 4 * SOLVED * np.linalg.norm(chart.point(step.q, np.zeros(7)).H, 2)
+        np.testing.assert_allclose(chart.inverse(*goal).q, step.q, atol=tolerance)
+        found += 1
+    assert found >= 3
 
 
-def test_walking_reaches_what_newton_alone_does_not(ppr):
-    """Where det G'U is small Newton's method jumps away from the solution; short steps do not."""
-    task = every_task(ppr)["position xy"]
-    chart = Chart.at(task, np.zeros(3))
-    q = np.array([0.0, 0.0, 3.0])
-    z, v = task.value(q), chart.v(q)
-    with pytest.raises(InverseError):
-        chart.inverse(z, v, walking=False)
-    np.testing.assert_allclose(chart.inverse(z, v).q, q, atol=1e3 * SOLVED)
+def test_walking_reaches_what_newton_alone_does_not(panda):
+    """Targets half a metre away: walking finds all that Newton's method finds in one go, and more."""
+    task, random = every_task(panda)["position xyz"], np.random.default_rng(0)
+    chart = Chart.at(task, HOME)
+    at_once, walked = set(), set()
+    for k in range(40):
+        z = chart.z_bar + random.uniform(-0.5, 0.5, 3)
+        for found, walking in ((at_once, False), (walked, True)):
+            try:
+                q = chart.inverse(z, chart.v_bar, walking=walking).q
+            except InverseError:
+                continue
+            np.testing.assert_allclose(task.value(q), z, atol=SOLVED)
+            np.testing.assert_allclose(chart.v(q), chart.v_bar, atol=10 * EXACT)
+            found.add(k)
+    assert at_once < walked
 
 
 @pytest.mark.parametrize("refresh", [True, False])
 def test_a_point_out_of_reach_is_an_error_with_its_data(panda, refresh):
     task = every_task(panda)["position xyz"]
-    chart = Chart.at(task, [0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8])
+    chart = Chart.at(task, HOME)
     with pytest.raises(InverseError, match="out of reach") as caught:
         chart.inverse(np.array([2.0, 0.0, 0.5]), np.zeros(4), refresh=refresh)
     assert caught.value.iterations > 0
@@ -254,25 +266,25 @@ def test_a_point_out_of_reach_is_an_error_with_its_data(panda, refresh):
 
 
 def test_a_point_that_is_not_finite_is_not_found(panda):
-    chart = Chart.at(every_task(panda)["position xyz"], [0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8])
+    chart = Chart.at(every_task(panda)["position xyz"], HOME)
     with pytest.raises(InverseError):
         chart.inverse(np.array([np.nan, 0.0, 0.5]), np.zeros(4))
     with pytest.raises(InverseError):
         chart.inverse(chart.z_bar, np.full(4, np.nan))
 
 
-def test_the_other_sheet_of_the_solution_is_not_taken(ppr):
-    """Beyond y3 = π the same (z, v) belongs to another branch, and det G'U is negative there; h ends before."""
+@given(turn=st.floats(-6.0, 6.0))
+def test_the_solution_on_the_chart_is_the_one_with_positive_determinant(ppr, turn):
+    """(z, v) fix y3 + sin y3 of this robot, so beyond y3 = π its solution is off the chart of y3 = 0."""
     task = every_task(ppr)["position xy"]
     chart = Chart.at(task, np.zeros(3))
-    q = np.array([0.0, 0.0, 3.5])
-    found = chart.inverse(task.value(q), chart.v(q)) if _exists(q) else None
-    assert found is None or abs(found.q[2]) < np.pi
-
-
-def _exists(q):
-    """Whether y3 + sin y3 = y3' + sin y3', which is what (z, v) fix of the ppr robot, has a root of modulus below π."""
-    return abs(q[2] + np.sin(q[2])) < np.pi
+    q = np.array([0.3, -0.2, turn])
+    assume(abs(abs(turn) - np.pi) > 0.3)
+    if abs(turn) < np.pi:
+        np.testing.assert_allclose(chart.inverse(task.value(q), chart.v(q)).q, q, atol=1e3 * SOLVED)
+    else:
+        with pytest.raises(InverseError):
+            chart.inverse(task.value(q), chart.v(q))
 
 
 # -- r = 0 -----------------------------------------------------------------------------------------------------------
@@ -333,15 +345,23 @@ def test_margin_of_the_ppr_robot(ppr, base, turn):
     assert np.linalg.cond(np.vstack((edge, chart.V.T))) > 1e14
 
 
-def test_on_the_edge_of_the_chart_nothing_is_computed(chain):
-    """A Jacobian of full rank with a direction orthogonal to the chart's rows."""
+def test_the_edge_of_a_chart_and_a_singular_task_are_told_apart(chain):
+    """On the edge the Jacobian has full rank, but a direction orthogonal to all rows of the base point's."""
     chart = Chart.at(every_task(chain)["position xy"], checks.random_state(chain)[0])
     J = np.array([chart.V[:, 0], chart.U[:, 1]])
     assert chart.margin(J) == pytest.approx(0.0, abs=EXACT)
     assert not chart.contains(J, 1e-6)
-    J[0] = np.round(chart.V[:, 0], 3)
-    J[0] -= chart.U @ (chart.B_bar @ (chart.U.T @ J[0]))
-    assert chart.margin(J) < 1e-6
+    flat = np.zeros_like(J)
+    flat[:, 0] = 1.0
+    with pytest.raises(SingularError):
+        chart.margin(flat)
+    with pytest.raises(ChartError, match="edge of the chart"):
+        chart.B(flat)
+    for limit in (0, 16):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(charts, "DENSE_SOLVE", limit)
+            with pytest.raises(ChartError, match="edge of the chart"):
+                chart.acceleration(np.zeros_like(J), np.ones(2), np.ones(8))
 
 
 @pytest.mark.parametrize(

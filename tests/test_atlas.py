@@ -1,0 +1,248 @@
+"""Charts one after the other: cyclic inverse kinematics, Sec. 3.3, against the generalized inverse, Sec. 2.2."""
+
+from __future__ import annotations
+
+import checks
+import numpy as np
+import pytest
+import scipy.integrate
+from checks import EXACT, SOLVED, all_tasks, every_task
+
+from eos_pin import Atlas, Chart, InputError, PositionTask, SingularError, pseudoinverse
+
+HOME = np.array([0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8])
+
+
+@pytest.fixture
+def position(panda):
+    return PositionTask(panda, "panda_hand_tcp")
+
+
+def circle(center, radius, count, turns=1):
+    """Points of a circle in the y-z plane that starts and ends at `center`."""
+    angle = np.linspace(0.0, 2.0 * np.pi * turns, count)
+    return center + radius * np.column_stack((0.0 * angle, np.sin(angle), 1.0 - np.cos(angle)))
+
+
+def largest_step(path):
+    return np.abs(np.diff(path.q, axis=0)).max()
+
+
+def check(atlas, path):
+    """What holds on every path: the task is met, v is what it says on its chart, and charts carry v on."""
+    for q, z, v, number in zip(path.q, path.z, path.v, path.chart, strict=True):
+        assert np.abs(atlas.task.minus(atlas.task.value(q), z)).max() <= max(path.residual, EXACT) <= SOLVED
+        # A chart that a point was found on may also be the one it was left for, right there.
+        np.testing.assert_allclose(path.charts[number].v(q), v, atol=100 * EXACT)
+    assert (np.diff(path.chart) >= 0).all()
+    for old, new in zip(path.charts, path.charts[1:], strict=False):
+        np.testing.assert_allclose(new.v_bar, old.v(new.q_bar), atol=100 * EXACT)
+        assert np.linalg.norm(new.V - old.V) <= np.linalg.norm(Chart.at(atlas.task, new.q_bar).V - old.V) + 1e-9
+    for array in (path.q, path.z, path.v, path.chart):
+        assert not array.flags.writeable
+
+
+# -- cyclic on a chart, and drift of the generalized inverse -----------------------------------------------------------
+
+
+def test_a_closed_path_is_cyclic_on_a_chart_and_drifts_by_the_pseudoinverse(position):
+    points = circle(position.value(HOME), 0.12, 241, turns=3)
+    atlas = Atlas(position)
+    path = atlas.follow(HOME, points)
+    check(atlas, path)
+    assert path.complete
+    assert len(path.charts) == 1
+    assert np.abs(path.q[[80, 160, 240]] - path.q[0]).max() < 1e-9
+    assert largest_step(path) < 0.05
+
+    def velocity(s, q):
+        dz = 0.12 * 2.0 * np.pi * np.array([0.0, np.cos(2 * np.pi * s), np.sin(2 * np.pi * s)])
+        return pseudoinverse(position.linearize(q)[1]) @ dz
+
+    drifting = scipy.integrate.solve_ivp(velocity, (0.0, 3.0), HOME, rtol=1e-9, atol=1e-9).y[:, -1]
+    np.testing.assert_allclose(position.value(drifting), points[-1], atol=1e-6)
+    assert np.abs(drifting - HOME).max() > 0.01
+
+
+@pytest.mark.parametrize("task", [task for _, task in all_tasks()], ids=[name for name, _ in all_tasks()])
+def test_every_task_goes_round_and_comes_back(task):
+    """Out along a tangent and back, by another way: the same joints at the end as at the start."""
+    random = np.random.default_rng(4)
+    trials = (checks.random_state(task.robot, seed)[0] for seed in range(100))
+    q = next(q for q in trials if np.linalg.cond(task.linearize(q)[1]) < 30)
+    room = 0.1 * np.linalg.svd(task.linearize(q)[1], compute_uv=False)[-1]
+    z, corners = task.value(q), room * random.normal(size=(2, task.m))
+    path = Atlas(task).follow(q, [z, task.plus(z, corners[0]), task.plus(z, corners[1]), z])
+    check(Atlas(task), path)
+    assert path.complete
+    assert len(path.charts) == 1
+    np.testing.assert_allclose(path.q[[0, -1]], [q, q], atol=1e-8)
+
+
+# -- several charts ----------------------------------------------------------------------------------------------------
+
+
+def test_through_several_charts_the_joints_move_continuously(ppr):
+    """v grows by more than one chart holds: y3 of the ppr robot turns several times."""
+    task = every_task(ppr)["position xy"]
+    atlas, count = Atlas(task), 400
+    points = np.tile(task.value(np.zeros(3)), (count, 1))
+    path = atlas.follow(np.zeros(3), points, v=np.linspace(0.0, 12.0, count)[:, None])
+    check(atlas, path)
+    assert path.complete
+    assert len(path.charts) > 5
+    assert largest_step(path) < 0.1
+    # The tip stands still, so along the way dv = Vᵀ dq with V the null space: y3 grows for good.
+    assert (np.diff(path.q[:, 2]) > 0.0).all()
+    assert path.q[-1, 2] > 2.0 * np.pi
+
+
+@pytest.mark.parametrize("threshold", [0.3, 0.5, 0.9])
+def test_a_path_across_the_workspace(panda, position, threshold):
+    start = position.value(HOME)
+    corners = [start, [0.1, 0.5, 0.5], [-0.4, 0.2, 0.6], [0.1, -0.5, 0.3], start]
+    points = np.concatenate([np.linspace(a, b, 40) for a, b in zip(corners, corners[1:], strict=False)])
+    atlas = Atlas(position, threshold=threshold)
+    path = atlas.follow(HOME, points)
+    check(atlas, path)
+    assert path.complete
+    assert len(path.charts) > 1
+    assert largest_step(path) < 0.4
+
+
+def test_the_paths_of_two_thresholds_are_close_where_steps_are_small(ppr):
+    """Between charts dv = Vᵀ dq is measured along slightly different directions; with fine steps it hardly matters."""
+    task = every_task(ppr)["position xy"]
+    angle = np.linspace(0.0, 1.0, 200)[:, None]
+    points = task.value(np.zeros(3)) + angle * [1.0, 0.5]
+    ends = [Atlas(task, threshold=threshold).follow(np.zeros(3), points).q[-1] for threshold in (0.3, 0.5, 0.7)]
+    np.testing.assert_allclose(ends[1:], [ends[0]] * 2, atol=1e-8)
+
+
+def test_a_far_first_point_is_walked_to(position):
+    """The path need not start where the robot is, and its points may lie far apart."""
+    goals = np.array([[0.3, 0.45, 0.4], [0.4, -0.4, 0.6]])
+    path = Atlas(position).follow(HOME, goals)
+    check(Atlas(position), path)
+    assert path.complete
+    assert path.iterations > 4
+
+
+# -- v along the path --------------------------------------------------------------------------------------------------
+
+
+def test_v_is_a_constant_an_array_or_a_function(position):
+    points = circle(position.value(HOME), 0.05, 9)
+    atlas = Atlas(position)
+    still = atlas.follow(HOME, points)
+    np.testing.assert_array_equal(still.v, 0.0)
+    for v in ([0.1, 0.0, -0.1, 0.05], np.tile([0.1, 0.0, -0.1, 0.05], (9, 1)), lambda k: [0.1, 0.0, -0.1, 0.05]):
+        path = atlas.follow(HOME, points, v=v)
+        check(atlas, path)
+        np.testing.assert_array_equal(path.v, np.tile([0.1, 0.0, -0.1, 0.05], (9, 1)))
+    moving = atlas.follow(HOME, points, v=lambda k: 0.02 * k * np.ones(4))
+    check(atlas, moving)
+    np.testing.assert_allclose(moving.v[:, 2], 0.02 * np.arange(9), atol=EXACT)
+    np.testing.assert_array_equal(atlas.follow(HOME, list(points)).q, still.q)
+    np.testing.assert_array_equal(atlas.follow(HOME, iter(points)).q, still.q)
+
+
+def test_a_path_may_go_on_from_the_chart_of_another(position):
+    points = circle(position.value(HOME), 0.1, 21)
+    atlas = Atlas(position)
+    whole = atlas.follow(HOME, points)
+    half = atlas.follow(HOME, points[:11])
+    rest = atlas.follow(half.q[-1], points[11:], chart=half.charts[-1])
+    np.testing.assert_allclose(np.vstack((half.q, rest.q)), whole.q, atol=1e-8)
+    np.testing.assert_allclose(rest.v, whole.v[11:], atol=1e-12)
+
+
+def test_without_redundancy_a_path_is_plain_inverse_kinematics(ur5):
+    task = every_task(ur5)["pose"]
+    q = np.array([0.3, -1.2, 1.4, -0.5, 0.9, 0.2])
+    z = task.value(q)
+    out = task.plus(z, np.array([0.05, -0.05, 0.1, 0.3, -0.2, 0.1]))
+    path = Atlas(task).follow(q, [z, out, z])
+    check(Atlas(task), path)
+    assert path.v.shape == (3, 0)
+    np.testing.assert_allclose(path.q[-1], q, atol=1e-8)
+
+
+# -- what cannot be done -----------------------------------------------------------------------------------------------
+
+
+def test_where_the_path_leaves_the_workspace_the_result_ends_and_says_so(position):
+    points = np.linspace(position.value(HOME), [1.5, 0.0, 0.3], 30)
+    atlas = Atlas(position)
+    path = atlas.follow(HOME, points)
+    check(atlas, path)
+    assert not path.complete
+    assert 0 < len(path.q) < 30
+    assert f"point {len(path.q)} of 30 was not reached" in path.message
+    # The last point found is close to the farthest that the arm can do.
+    assert np.linalg.norm(points[len(path.q)] - [0.0, 0.0, 0.333]) > 0.75
+    assert len(path.q) == len(path.z) == len(path.v) == len(path.chart)
+
+
+def test_nothing_is_kept_where_not_even_the_first_point_is_reached(position):
+    path = Atlas(position).follow(HOME, [[5.0, 0.0, 0.0]])
+    assert path.q.shape == (0, 7)
+    assert path.v.shape == (0, 4)
+    assert "point 0 of 1" in path.message
+
+
+def test_an_empty_path_is_complete(position):
+    path = Atlas(position).follow(HOME, np.zeros((0, 3)))
+    assert path.complete
+    assert path.q.shape == (0, 7)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"path": np.zeros((4, 2))},
+        {"path": np.zeros((4, 3, 1))},
+        {"path": np.full((2, 3), np.nan)},
+        {"path": [[0.0, 0.0, "a"]]},
+        {"path": [[0.0, 0.0, 0.0], [0.0, 0.0]]},
+        {"v": np.zeros((3, 4))},
+        {"v": np.zeros((2, 3))},
+        {"v": np.zeros(3)},
+        {"v": np.full((2, 4), np.inf)},
+        {"v": "abc"},
+        {"v": lambda k: np.zeros(5)},
+        {"q": np.zeros(6)},
+        {"q": np.full(7, np.nan)},
+    ],
+    ids=lambda wrong: "-".join(wrong),
+)
+def test_wrong_shapes_are_refused(position, wrong, unchecked):
+    arguments = {"q": HOME, "path": np.tile(position.value(HOME), (2, 1))} | wrong
+    with pytest.raises(InputError):
+        Atlas(position).follow(arguments.pop("q"), arguments.pop("path"), **arguments)
+
+
+def test_a_singular_start_is_an_error(ur5):
+    task = every_task(ur5)["pose"]
+    with pytest.raises(SingularError):
+        Atlas(task).follow(np.zeros(6), [task.value(np.zeros(6))])
+
+
+@pytest.mark.parametrize("threshold", [0.0, 1.0, -0.5, 2.0, np.nan, np.inf])
+def test_a_threshold_lies_between_0_and_1(position, threshold):
+    with pytest.raises(InputError, match="chart threshold"):
+        Atlas(position, threshold=threshold)
+
+
+def test_the_rule_by_which_charts_follow_each_other(ppr):
+    """A chart is left where the margin falls to the threshold: (1 + cos a) / 2 for this robot."""
+    task = every_task(ppr)["position xy"]
+    atlas = Atlas(task, threshold=0.5)
+    chart = atlas.start([0.0, 0.0, 0.0])
+    assert (chart.v_bar == 0.0).all()
+    for turn, holds in ((0.0, True), (1.5, True), (1.6, False), (-1.5, True), (-1.6, False), (np.pi, False)):
+        assert atlas.holds(chart, task.linearize(np.array([0.0, 0.0, turn]))[1]) == holds
+    q = np.array([0.3, 0.4, 1.6])
+    following = atlas.next(chart, q)
+    np.testing.assert_allclose(following.v(q), chart.v(q), atol=EXACT)
+    assert atlas.holds(following, task.linearize(q)[1])

@@ -1,0 +1,49 @@
+"""What the README says is what happens."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import eos_pin
+from eos_pin.cli import main
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text()
+
+
+def test_the_python_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, "README.md", "exec"), {})
+    assert (tmp_path / "run.npz").exists()
+
+
+def test_every_module_is_on_the_map() -> None:
+    mapped = set(re.findall(r"`(\w+)`", README[README.index("## Where things are") : README.index("## Limits")]))
+    modules = {path.stem for path in Path(eos_pin.__file__).parent.glob("*.py")} - {"__init__"}
+    assert modules <= mapped, modules - mapped
+
+
+def test_every_command_and_link_exists() -> None:
+    for command in set(re.findall(r"`eos-pin (\w+)", README)):
+        with pytest.raises(SystemExit) as stop:
+            main([command, "--help"])
+        assert stop.value.code == 0
+    for target in re.findall(r"\]\((?!http)([^)#]+)\)", README):
+        assert (ROOT / target).exists(), target
+
+
+def test_ci_runs_the_test_command_of_the_readme() -> None:
+    (command,) = re.findall(r"^python3 -m venv .*pytest.*$", README, re.MULTILINE)
+    assert ".[test]" in command
+    pattern = re.search(r"grep -m1 -E '(.*?)' README.md", (ROOT / ".ci" / "run").read_text())
+    assert pattern is not None
+    assert re.match(pattern[1], command)
+
+
+def test_the_version_is_one() -> None:
+    assert f'version = "{eos_pin.__version__}"' in (ROOT / "pyproject.toml").read_text()
+    assert f"version: {eos_pin.__version__}" in (ROOT / "CITATION.cff").read_text()
