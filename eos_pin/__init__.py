@@ -5,6 +5,7 @@ the robot, an `Atlas` of charts, a `Trajectory` to follow, an `EosController` th
 """
 
 from eos_pin.atlas import Atlas, JointPath
+from eos_pin.avoidance import Avoidance
 from eos_pin.baselines import (
     BASELINES,
     DampedNullSpace,
@@ -14,6 +15,7 @@ from eos_pin.baselines import (
     TaskSpaceController,
 )
 from eos_pin.charts import Chart, ChartPoint, Inverse
+from eos_pin.clearance import Approach, Clearance, Obstacle
 from eos_pin.controllers import Controller, ControlLoop, EosController, OpenLoop
 from eos_pin.dynamics import ExtendedDynamics, TaskSpaceDynamics, pseudoinverse
 from eos_pin.errors import (
@@ -66,10 +68,13 @@ __version__ = "0.1.0"
 
 __all__ = [
     "BASELINES",
+    "Approach",
     "Atlas",
+    "Avoidance",
     "Chart",
     "ChartError",
     "ChartPoint",
+    "Clearance",
     "ComTask",
     "ControlLoop",
     "Controller",
@@ -91,6 +96,7 @@ __all__ = [
     "Joint",
     "JointPath",
     "Objective",
+    "Obstacle",
     "OpenLoop",
     "OrientationTask",
     "OutputError",

@@ -64,7 +64,7 @@ class Avoidance:
         return dv / max(1.0, float(np.abs(D @ dv).max(initial=0.0)) / self.longest)
 
     def _repulsion(self, t: float, q: JointVector) -> tuple[Float[Array, "k n"], Vector]:
-        """What is too close: slope of each way with the joints, and what the way lacks, relative to what it should be."""
+        """What is too close: slope of each way with the joints, and what it lacks, in units of what it should be."""
         robot = self.clearance.robot
         near = self.clearance.approaches(t, q, within=self.margin)
         below, above = 1.0 - (q - robot.lower) / self.room, 1.0 - (robot.upper - q) / self.room

@@ -123,16 +123,14 @@ class TaskSpaceController(TaskController):
         drift: bool = True,
         gravity: bool = True,
     ) -> None:
-        super().__init__(task, reference, kp=kp, kd=kd, feedforward=feedforward)
+        super().__init__(task, reference, kp=kp, kd=kd, feedforward=feedforward, gravity=gravity)
         self.null_space = null_space or FreeNullSpace()
-        self.drift, self.gravity = drift, gravity
-        self._model = task.robot if gravity else task.robot.with_gravity(0.0)
+        self.drift = drift
 
     def describe(self) -> dict[str, Any]:
         return super().describe() | {
             "null_space": type(self.null_space).__name__,
             "drift": self.drift,
-            "gravity": self.gravity,
         }
 
     def torque(self, t: float, q: JointVector, dq: JointVector, memory: Any) -> JointVector:

@@ -29,11 +29,15 @@ from eos_pin.arrays import (
     vector,
 )
 from eos_pin.errors import ChartError, InverseError
-from eos_pin.linear import RANK_TOLERANCE, check_rank, is_odd, null_space
+from eos_pin.linear import RANK_TOLERANCE, check_rank, is_odd, null_space, regularized_solve
 from eos_pin.tasks import Point, Task, TaskPoint
 
 #: Up to this many joints one n × n solve is cheaper than the m × m form with its extra products.
 DENSE_SOLVE = 16
+#: A direction in which G' falls below this fraction of its largest singular value is given up by degrees in control.
+SOFT_SINGULAR = 0.02
+#: Rate at which motion in a direction that is being lost is braked [1/s].
+BRAKING = 20.0
 
 
 class Inverse(NamedTuple):
@@ -215,25 +219,53 @@ class Chart:
             B = 2.0 * B - B @ product  # Eq. (21)
         raise ChartError(f"the iteration for B diverges from this start (residual {error:.3g}); solve directly instead")
 
-    def acceleration(self, J: Jacobian, task: TaskVector, self_motion: SelfMotionVector) -> JointVector:
+    def acceleration(
+        self,
+        J: Jacobian,
+        task: TaskVector,
+        self_motion: SelfMotionVector,
+        dq: JointVector | None = None,
+    ) -> JointVector:
         """Joint acceleration ddq with J ddq = `task` and Vᵀ ddq = `self_motion`.
 
         With `task` = ddz − drift and `self_motion` = ddv this is H ddw + E of Eq. (20), without forming H or E.
 
+        Args:
+            J: Jacobian G'(q).
+            task: Task acceleration without drift, (m,).
+            self_motion: Self-motion acceleration, (r,).
+            dq: Joint velocities. With them, directions that are being lost near a singularity of the task are braked
+                instead, so that the result is bounded and continuous; see `regularized_solve`.
+
         Raises:
-            ChartError: [G'; Vᵀ] is singular.
+            ChartError: [G'; Vᵀ] is singular, and dq is not given.
         """
         if self.n <= DENSE_SOLVE:
             A = self._stacked.copy(order="F")
             A[: self.m] = J
-            _, _, ddq, info = lapack.dgesv(A, np.concatenate((task, self_motion)), 1, 1)
+            LU, _, ddq, info = lapack.dgesv(A, np.concatenate((task, self_motion)), 0, 1)
+            if dq is not None and self._nearly_singular(LU):
+                return regularized_solve(A, np.concatenate((task, self_motion)), self._soft, -BRAKING * dq)
         else:
             lifted = self.V.dot(self_motion)
-            _, _, step, info = lapack.dgesv(J.dot(self.U), task - J.dot(lifted))
-            ddq = lifted + self.U.dot(step)
+            GQ, rest = J.dot(self._row_basis), task - J.dot(lifted)
+            LU, _, step, info = lapack.dgesv(GQ, rest)
+            if dq is not None and self._nearly_singular(LU):
+                step = regularized_solve(GQ, rest, self._soft, self._row_basis.T.dot(-BRAKING * dq))
+                info = 0
+            ddq = lifted + self._row_basis.dot(step)
         if info:
             raise ChartError("[G'; Vᵀ] is singular: this configuration is on the edge of the chart; make a chart at it")
         return ddq
+
+    def _nearly_singular(self, LU: Array) -> bool:
+        """Whether a factored matrix may have a singular value below `_soft`: no pivot is much smaller than the least."""
+        return min(map(abs, LU.diagonal().tolist())) < 8.0 * self._soft
+
+    @cached_property
+    def _soft(self) -> float:
+        """Singular value below which a direction counts as being lost."""
+        return SOFT_SINGULAR * float(np.linalg.norm(self.U, 2))
 
     @cached_property
     def _stacked(self) -> Float[Array, "n n"]:

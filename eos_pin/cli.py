@@ -19,7 +19,8 @@ from eos_pin.files import write_atomically
 from eos_pin.library import available_robots
 from eos_pin.loading import leaf_frames
 from eos_pin.options import ControllerName, ControlOptions, PathOptions, RobotOptions, RunOptions, TaskOptions
-from eos_pin.report import Output, console, deliver, figure, grid, run_table, scene_of, stderr, write_json
+from eos_pin.recording import joint_run
+from eos_pin.report import Output, console, deliver, figure, grid, run_table, scene_of, show, stderr, write_json
 from eos_pin.results import Result
 from eos_pin.robot import Robot
 from eos_pin.tasks import Task
@@ -249,10 +250,10 @@ def ik(
         samples = np.column_stack((times[: len(found.q)], found.q))
         write_atomically(output.csv, lambda file: np.savetxt(file, samples, delimiter=",", header=header, comments=""))
         written.append(output.csv)
-    result = _as_run(machine, goal, times[: len(found.q)], found.q, found.z)
+    result = joint_run(goal, times[: len(found.q)], found.q, found.z, v=found.v, chart=found.chart)
     written += deliver(replace(output, csv=None), result, machine, figures=figures)
     if output.view:
-        _replay(scene_of(result, machine), result)
+        show(scene_of(result, machine), result)
     _say_files(written)
     return 0 if found.complete else 1
 
@@ -276,7 +277,7 @@ def replay(run: tyro.conf.Positional[Path], output: Output = Output()) -> int:
     written = deliver(replace(files, out=None), result, robot)
     _say_files(written)
     if output.view or not written:
-        _replay(scene_of(result, robot), result)
+        show(scene_of(result, robot), result)
     return 0
 
 
@@ -360,44 +361,14 @@ def _whole(task: Task, z: np.ndarray, z0: np.ndarray) -> np.ndarray:
     return task.point(np.concatenate((z, z0[z.size :])))
 
 
-def _as_run(robot: Robot, task: Task, t: np.ndarray, q: np.ndarray, z: np.ndarray) -> Result:
-    """Joints over time without dynamics, in the form that figures and replay take."""
-    empty, n = np.zeros((len(t), 0)), np.zeros((len(t), robot.n))
-    error = np.array([task.minus(a, task.value(b)) for a, b in zip(z, q, strict=True)]).reshape(len(t), task.m)
-    rest = np.zeros(len(t))
-    record = {
-        "name": robot.name,
-        "source": robot.source,
-        "options": dict(robot.options),
-        "urdf_sha256": robot.urdf_sha256,
-    }
-    return Result(
-        t=t, q=q, dq=n, ddq=n, tau=n, z=z, dz=0.0 * error, z_ref=z, error=error, task_force=0.0 * error,
-        v=empty, dv=empty, v_ref=empty, chart=np.zeros(len(t), dtype=np.int64), kinetic_energy=rest, work=rest,
-        switches=np.zeros(0), info={"robot": record, "task": task.describe(), "controller": {"kind": "Kinematics"}},
-    )  # fmt: skip
-
-
 def _still(output: Output, robot: Robot, task: Task, q: JointVector, figures: dict[str, Any]) -> list[Path]:
     """Files that show a robot at rest."""
     files = output.within(None, names={"json": "info.json", "html": "robot.html", "plot": "robot.png"})
-    result = _as_run(robot, task, np.zeros(1), q[None], task.value(q)[None])
+    result = joint_run(task, np.zeros(1), q[None], task.value(q)[None])
     written = deliver(replace(files, out=None), result, robot, figures=figures)
     if output.view:
-        _replay(scene_of(result, robot), result)
+        show(scene_of(result, robot), result)
     return written
-
-
-def _replay(scene: Any, result: Result) -> None:
-    """Hand a motion to the browser, which keeps it."""
-    from eos_pin.viewer import Viewer
-
-    with Viewer(scene, result.q[0]) as viewer:
-        console.print(f"Replay: {viewer.url}")
-        if not viewer.open():
-            stderr.print("No browser opened; open the address above by hand within a minute.")
-            viewer.open(wait=60.0)
-        viewer.play(result.t, result.q)
 
 
 if __name__ == "__main__":

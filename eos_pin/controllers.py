@@ -19,7 +19,7 @@ import numpy as np
 from eos_pin.arrays import JointVector, TaskVector, VectorLike, readonly, spread, vector
 from eos_pin.atlas import Atlas
 from eos_pin.charts import Chart
-from eos_pin.errors import InputError, StateError
+from eos_pin.errors import InputError, SingularError, StateError
 from eos_pin.objectives import Objective, Track
 from eos_pin.robot import Robot
 from eos_pin.tasks import Task, TaskPoint
@@ -66,6 +66,7 @@ class TaskController(Controller):
         kd: Gain on the task's velocity error, one number or (m,) [1/s]; 2 √kp is critically damped.
         feedforward: Whether dz and ddz of the reference are used. Without them the robot is drawn to where the
             reference is, and trails behind it, as set-point regulators do.
+        gravity: Whether the controller compensates gravity.
     """
 
     def __init__(
@@ -76,8 +77,10 @@ class TaskController(Controller):
         kp: float | VectorLike = 100.0,
         kd: float | VectorLike = 20.0,
         feedforward: bool = True,
+        gravity: bool = True,
     ) -> None:
-        self.task, self.reference, self.feedforward = task, reference, feedforward
+        self.task, self.reference, self.feedforward, self.gravity = task, reference, feedforward, gravity
+        self._model = task.robot if gravity else task.robot.with_gravity(0.0)
         self.kp, self.kd = (
             readonly(spread(k, task.m, f"the task gain {name}")) for k, name in ((kp, "kp"), (kd, "kd"))
         )
@@ -101,6 +104,7 @@ class TaskController(Controller):
             "kp": self.kp.tolist(),
             "kd": self.kd.tolist(),
             "feedforward": self.feedforward,
+            "gravity": self.gravity,
             "robot": self.robot.name,
             "reference": type(self.reference).__name__,
         }
@@ -112,6 +116,16 @@ class TaskController(Controller):
         if not self.feedforward:
             return self.kp * error - self.kd * point.dz
         return ddz_d + self.kd * (dz_d - point.dz) + self.kp * error
+
+    def given_up(self, t: float, q: JointVector, dq: JointVector, memory: Any) -> TaskVector:
+        """Task acceleration that the law asks for and the torque does not bring, by the controller's own model.
+
+        Zero to rounding where the controller does all it is asked; see `EosController` and `LimitedEosController` for
+        where it does not.
+        """
+        point = self.task.at(q, dq)
+        ddq = self._model.forward_dynamics(q, dq, self.torque(t, q, dq, memory))
+        return self.task_acceleration(t, point) - point.J @ ddq - point.drift
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +148,9 @@ class EosController(TaskController):
     an objective. H F* + E is the acceleration ddq that solves [G'; Vᵀ] ddq = (F_z − Ġ'dq, F_v), so the torque is
     the inverse dynamics of it and no mass matrix is formed. With an exact model, task and self-motion errors obey
     ε̈ + kd ε̇ + kp ε = 0 independently of each other.
+
+    Near a singularity of the task the direction that is being lost is given up by degrees and braked there, so that the
+    torque stays bounded and continuous; it is taken up again as the rank returns. `given_up` says how much is lost.
 
     Args:
         task: The task.
@@ -158,13 +175,11 @@ class EosController(TaskController):
         gravity: bool = True,
         atlas: Atlas | None = None,
     ) -> None:
-        super().__init__(task, reference, kp=kp, kd=kd, feedforward=feedforward)
+        super().__init__(task, reference, kp=kp, kd=kd, feedforward=feedforward, gravity=gravity)
         self.self_motion = self_motion or Track()
-        self.gravity = gravity
         self.atlas = atlas or Atlas(task)
         if self.atlas.task is not task:
             raise InputError("the atlas of an EosController must be of the controller's own task object")
-        self._model = task.robot if gravity else task.robot.with_gravity(0.0)
 
     def start(self, t: float, q: JointVector, dq: JointVector) -> EosMemory:
         memory = EosMemory(self.atlas.start(q))
@@ -180,29 +195,44 @@ class EosController(TaskController):
         return self._torque(t, q, dq, memory, self.task.at(q, dq))
 
     def _torque(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint) -> JointVector:
+        return self._model.inverse_dynamics(q, dq, self._acceleration(t, q, dq, memory, point))
+
+    def _acceleration(
+        self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint
+    ) -> JointVector:
+        """H F* + E, and near a singularity of the task what `Chart.acceleration` makes of it."""
         F_z = self.task_acceleration(t, point)
         F_v = self.self_motion.acceleration(t, q, dq, memory.chart)
-        ddq = memory.chart.acceleration(point.J, F_z - point.drift, F_v)
-        return self._model.inverse_dynamics(q, dq, ddq)
+        return memory.chart.acceleration(point.J, F_z - point.drift, F_v, dq)
 
     def margin(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> float:
         _, J = self.task.linearize(q)
-        return memory.chart.margin(J) - self.atlas.threshold
+        try:
+            return memory.chart.margin(J) - self.atlas.threshold
+        except SingularError:
+            # No chart can be made here; the one there is serves until the task has full rank again.
+            return 1.0
 
     def update(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> EosMemory:
-        return EosMemory(self.atlas.next(memory.chart, q), memory.number + 1)
+        try:
+            return EosMemory(self.atlas.next(memory.chart, q), memory.number + 1)
+        except SingularError:
+            return memory
 
     def step(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> tuple[JointVector, EosMemory]:
         # The kinematics serve the chart's margin and the torque.
         point = self.task.at(q, dq)
-        if not self.atlas.holds(memory.chart, point.J):
+        try:
+            holds = self.atlas.holds(memory.chart, point.J)
+        except SingularError:
+            holds = True
+        if not holds:
             memory = self.update(t, q, dq, memory)
         return self._torque(t, q, dq, memory, point), memory
 
     def describe(self) -> dict[str, Any]:
         return super().describe() | {
             "self_motion": type(self.self_motion).__name__,
-            "gravity": self.gravity,
             "threshold": self.atlas.threshold,
         }
 

@@ -81,9 +81,17 @@ def chart_following(
     found = Atlas(task).follow(q, [reference(s).z for s in t], tol=tol)
     switches = t[1:][: len(found.q)][np.diff(found.chart) > 0] if len(found.q) else np.zeros(0)
     return motion_result(
-        task, reference, t[: len(found.q)], found.q, v=found.v, chart=found.chart, switches=switches,
-        kind="ChartFollowing", status="finished" if found.complete else "unreached", message=found.message,
-    )  # fmt: skip
+        task,
+        reference,
+        t[: len(found.q)],
+        found.q,
+        v=found.v,
+        chart=found.chart,
+        switches=switches,
+        kind="ChartFollowing",
+        status="finished" if found.complete else "unreached",
+        message=found.message,
+    )
 
 
 def motion_result(
@@ -133,14 +141,25 @@ def motion_result(
         "controller": {"kind": kind},
     }
     return Result(
-        t=t, q=q, dq=dq, ddq=np.zeros_like(q), tau=np.zeros_like(q),
+        t=t,
+        q=q,
+        dq=dq,
+        ddq=np.zeros_like(q),
+        tau=np.zeros_like(q),
         z=np.array([p.z for p in points]).reshape(rows, task.size),
         dz=np.array([p.dz for p in points]).reshape(rows, task.m),
-        z_ref=z_ref, error=error, task_force=np.zeros_like(error), v=v, dv=np.zeros_like(v), v_ref=v,
+        z_ref=z_ref,
+        error=error,
+        task_force=np.zeros_like(error),
+        v=v,
+        dv=np.zeros_like(v),
+        v_ref=v,
         chart=np.zeros(rows, dtype=np.int64) if chart is None else chart,
         kinetic_energy=np.array([robot.kinetic_energy(a, b) for a, b in zip(q, dq, strict=True)]),
         work=np.zeros(rows),
         switches=np.zeros(0) if switches is None else switches,
         period=reference.period if math.isfinite(reference.period) else math.inf,
-        status=status, message=message, info=info,
-    )  # fmt: skip
+        status=status,
+        message=message,
+        info=info,
+    )

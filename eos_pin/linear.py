@@ -6,7 +6,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
-from eos_pin.arrays import Array, Jacobian
+from eos_pin.arrays import Array, Jacobian, Matrix, Vector
 from eos_pin.errors import SingularError
 
 #: G' counts as rank deficient where its smallest singular value falls below this fraction of the largest.
@@ -47,3 +47,21 @@ def is_odd(LU: Array, pivots: Array) -> bool:
     """Whether the determinant of a factored matrix is negative."""
     signs = sum(d < 0.0 for d in LU.diagonal().tolist()) + sum(p != i for i, p in enumerate(pivots.tolist()))
     return signs % 2 == 1
+
+
+def regularized_solve(A: Matrix, b: Vector, threshold: float, fallback: Vector) -> Vector:
+    """Solution of A x = b that stays bounded and continuous where A loses rank.
+
+    A singular value s below the threshold ε counts as s/ε² instead of 1/s, so that the lost direction fades out, and
+    the fallback takes its place by the part 1 − s²/ε². Above the threshold this is the plain solution.
+
+    Args:
+        A: Square matrix.
+        b: Right side.
+        threshold: Singular value ε below which a direction is given up by degrees.
+        fallback: What x should be in a direction that is lost altogether.
+    """
+    X, s, Yt = np.linalg.svd(A)
+    kept = np.minimum((s / threshold) ** 2, 1.0)
+    gain = np.where(s >= threshold, 1.0 / np.maximum(s, threshold), s / threshold**2)
+    return Yt.T @ (gain * (X.T @ b) + (1.0 - kept) * (Yt @ fallback))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, NamedTuple
 
@@ -87,13 +87,22 @@ class ClosedLoop(Experiment):
         start = self.robot, self.controller, self.q, self.dq
         if self.atlas is None:
             return simulate(
-                *start, duration=self.duration, rtol=self.rtol, atol=self.atol, task_force=self.task_force,
+                *start,
+                duration=self.duration,
+                rtol=self.rtol,
+                atol=self.atol,
+                task_force=self.task_force,
                 observer=observer,
-            )  # fmt: skip
+            )
         return simulate_eos(
-            *start, atlas=self.atlas, duration=self.duration, rtol=self.rtol, atol=self.atol,
-            task_force=self.task_force, observer=observer,
-        )  # fmt: skip
+            *start,
+            atlas=self.atlas,
+            duration=self.duration,
+            rtol=self.rtol,
+            atol=self.atol,
+            task_force=self.task_force,
+            observer=observer,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +147,15 @@ class Example:
     section: str
     title: str
     experiments: Mapping[str, Experiment]
+
+    @property
+    def robot(self) -> Robot:
+        """The robot of the first run."""
+        return next(iter(self.experiments.values())).robot
+
+    def only(self, *names: str) -> Example:
+        """The same with just these runs."""
+        return replace(self, experiments={name: self.experiments[name] for name in names})
 
 
 class Setting(NamedTuple):
@@ -333,7 +351,7 @@ def chain_eos(*, cycles: int = 3, rtol: float = 1e-9) -> Example:
         rtol: Tolerance of the integrator.
     """
     loops: dict[str, Experiment] = {}
-    laws: dict[str, Objective | None] = {"eos": None, "eos, F_v = 0": Damp(0.0)}
+    laws: dict[str, Objective | None] = {"eos": None, "F_v = 0": Damp(0.0)}
     for suffix, gravity in (("", False), (", gravity", True)):
         setting = planar_chain(cycles=cycles, gravity=gravity)
         controllers = {name + suffix: EosController(setting.task, setting.path, law) for name, law in laws.items()}

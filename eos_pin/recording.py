@@ -9,12 +9,15 @@ from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 import numpy as np
+from jaxtyping import Float, Int
 
-from eos_pin.arrays import Array, JointVector, Vector, number
+from eos_pin.arrays import Array, JointVector, Vector, VectorLike, number
 from eos_pin.controllers import EosController
 from eos_pin.errors import ChartError, EosError, SingularError
 from eos_pin.results import Result, provenance
+from eos_pin.robot import Robot
 from eos_pin.systems import System
+from eos_pin.tasks import Task
 
 #: Called with time and joints of every sample of a run: a progress bar, a live view.
 Observer: TypeAlias = Callable[[float, JointVector], None]
@@ -107,12 +110,7 @@ class Recorder:
             columns["error"].append(task.minus(z_ref, point.z) if reference else np.full(task.m, np.nan))
             columns["task_force"].append(np.asarray(force.force(t[row])) if force else np.zeros(task.m))
         info = provenance() | {
-            "robot": {
-                "name": plant.name,
-                "source": plant.source,
-                "options": dict(plant.options),
-                "urdf_sha256": plant.urdf_sha256,
-            },
+            "robot": _record(plant),
             "task": task.describe() if task else None,
             "force_task": force.task.describe() if force else None,
             "controller": controller.describe(),
@@ -147,6 +145,55 @@ def _ending(ending: BaseException, t: float) -> tuple[str, str]:
     kinds = {SingularError: "singular", ChartError: "chart_lost"}
     status = next((status for kind, status in kinds.items() if isinstance(ending, kind)), "failed")
     return status, f"the run ended at t = {t:.4g} s: {ending}"
+
+
+def joint_run(
+    task: Task,
+    t: VectorLike,
+    q: Float[Array, "T n"],
+    z: Float[Array, "T size"],
+    *,
+    v: Float[Array, "T r"] | None = None,
+    chart: Int[Array, " T"] | None = None,
+    period: float = math.inf,
+    message: str = "",
+) -> Result:
+    """Joints over time without dynamics, in the form that figures, tables and replay take.
+
+    Args:
+        task: The task.
+        t: Times [s].
+        q: Joints.
+        z: Task points that were asked for.
+        v: Self-motion coordinates, if there are charts.
+        chart: Number of the chart at each time.
+        period: Period of the path [s].
+        message: Why it ends early; empty where it does not.
+    """
+    robot, t = task.robot, np.asarray(t, dtype=float)
+    rest, still = np.zeros(len(t)), np.zeros((len(t), robot.n))
+    v = np.zeros((len(t), 0)) if v is None else v
+    chart = np.zeros(len(t), dtype=np.int64) if chart is None else chart
+    reached = np.array([task.value(row) for row in q]).reshape(len(t), task.size)
+    error = np.array([task.minus(a, b) for a, b in zip(z, reached, strict=True)]).reshape(len(t), task.m)
+    info = {"robot": _record(robot), "task": task.describe(), "controller": {"kind": "Kinematics"}, "arguments": {}}
+    return Result(
+        t=t, q=q, dq=still, ddq=still, tau=still,
+        z=reached, dz=0.0 * error, z_ref=z, error=error, task_force=0.0 * error,
+        v=v, dv=0.0 * v, v_ref=np.full_like(v, np.nan), chart=chart, switches=t[1:][np.diff(chart) != 0],
+        kinetic_energy=rest, work=rest, period=period,
+        status="unreached" if message else "finished", message=message, info=provenance() | info,
+    )  # fmt: skip
+
+
+def _record(robot: Robot) -> dict[str, Any]:
+    """What `Result.load_plant` needs to find the robot again."""
+    return {
+        "name": robot.name,
+        "source": robot.source,
+        "options": dict(robot.options),
+        "urdf_sha256": robot.urdf_sha256,
+    }
 
 
 def sample_times(duration: float, rate: float, period: float) -> Array:

@@ -26,7 +26,8 @@ from eos_pin.robot import Robot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from eos_pin.scene import Obstacle, Scene
+    from eos_pin.clearance import Obstacle
+    from eos_pin.scene import Scene
 
 #: Where tables go; errors and progress go to stderr.
 console = Console(highlight=False)
@@ -136,6 +137,7 @@ def deliver(
     figures: Mapping[str, Any] | None = None,
     obstacles: Sequence[Obstacle] = (),
     plot: Figure | None = None,
+    title: str = "",
 ) -> list[Path]:
     """Write every file that is asked for.
 
@@ -146,6 +148,7 @@ def deliver(
         figures: What goes into the JSON; by default the run's summary.
         obstacles: Solids in the replay.
         plot: Figure to save; by default the overview of the run.
+        title: Heading of the replay; by default robot and task.
 
     Returns:
         The files that were written.
@@ -164,8 +167,20 @@ def deliver(
     if output.html is not None:
         from eos_pin.viewer import write_html
 
-        written.append(write_html(output.html, scene_of(result, robot, obstacles), result.t, result.q))
+        written.append(write_html(output.html, scene_of(result, robot, obstacles, title=title), result.t, result.q))
     return written
+
+
+def show(scene: Scene, result: Result) -> None:
+    """Hand a motion to the browser, which keeps it."""
+    from eos_pin.viewer import Viewer
+
+    with Viewer(scene, result.q[0]) as viewer:
+        console.print(f"Replay: {viewer.url}")
+        if not viewer.open():
+            stderr.print("No browser opened; open the address above by hand within a minute.")
+            viewer.open(wait=60.0)
+        viewer.play(result.t, result.q)
 
 
 def write_json(path: Path, figures: Mapping[str, Any]) -> Path:

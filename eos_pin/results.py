@@ -12,7 +12,6 @@ import json
 import math
 import platform
 import sys
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from importlib import metadata
@@ -88,7 +87,9 @@ class Result:
     def __post_init__(self) -> None:
         rows = len(self.t)
         for name in _ARRAYS:
-            array = np.array(getattr(self, name))
+            array = np.array(getattr(self, name), dtype=np.int64 if name == "chart" else float)
+            if array.ndim != (1 if name in _VECTORS else 2):
+                raise InputError(f"{name} of a result must be a {'vector' if name in _VECTORS else 'table'}")
             if name != "switches" and len(array) != rows:
                 raise InputError(f"a result needs as many rows of {name} as times: {len(array)} against {rows}")
             array.flags.writeable = False
@@ -177,7 +178,7 @@ class Result:
             robot: The plant; by default it is loaded again from the provenance.
 
         Returns:
-            `task` z − G(q) [m, rad]; `torque` M ddq − R − tau − G'ᵀF^z, relative to the largest torque;
+            `task` z − G(q) [m, rad]; `torque` M ddq − R − tau − G'ᵀF^z, relative to the largest torque or bias −R;
             `power` change of energy minus work, relative to the largest energy exchanged.
 
         Raises:
@@ -185,6 +186,7 @@ class Result:
         """
         robot = robot or self.load_plant()
         torque = np.array([robot.inverse_dynamics(*row) for row in zip(self.q, self.dq, self.ddq, strict=True)])
+        bias = np.array([robot.bias(*row) for row in zip(self.q, self.dq, strict=True)])
         torque -= self.tau
         found: dict[str, float] = {}
         if self.info.get("task"):
@@ -199,7 +201,7 @@ class Result:
             [robot.kinetic_energy(q, dq) + robot.potential_energy(q) for q, dq in zip(self.q, self.dq, strict=True)]
         )
         scale = max(np.ptp(energy), np.ptp(self.work), self.kinetic_energy.max(), 1e-12)
-        found["torque"] = _largest(torque) / max(_largest(self.tau), 1e-12)
+        found["torque"] = _largest(torque) / max(_largest(self.tau), _largest(bias), 1e-12)
         found["power"] = _largest(energy - energy[0] - (self.work - self.work[0])) / float(scale)
         return found
 
@@ -255,22 +257,16 @@ class Result:
         """
         path = Path(path)
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 header = json.loads(str(file["header"]))
                 if header.get("format") != FORMAT:
                     raise ResultError(f"{path} has format {header.get('format')!r}, this version reads {FORMAT!r}")
                 arrays = {name: file[name] for name in _ARRAYS}
             period = header["period"] if header["period"] is not None else math.inf
             return cls(**arrays, period=period, status=header["status"], message=header["message"], info=header["info"])
-        except (
-            OSError,
-            ValueError,
-            KeyError,
-            EOFError,
-            AttributeError,
-            TypeError,
-            zipfile.BadZipFile,
-        ) as error:
+        except ResultError:
+            raise
+        except Exception as error:  # NumPy, zipfile, zlib and json raise a dozen kinds on damaged bytes
             raise ResultError(
                 f"{path} cannot be read as a result of eos_pin: {error or type(error).__name__}. Results are the .npz "
                 "files that `eos-pin track` and Result.save write"
@@ -296,6 +292,7 @@ class Result:
         return path
 
 
+_VECTORS = ("t", "chart", "kinetic_energy", "work", "switches")
 _ARRAYS = tuple(f.name for f in fields(Result) if f.name not in ("period", "status", "message", "info"))
 
 

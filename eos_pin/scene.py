@@ -9,47 +9,22 @@ from __future__ import annotations
 
 import gzip
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
 from eos_pin.arrays import Array, JointVector, Vector, VectorLike, readonly, vector
+from eos_pin.clearance import Obstacle
 from eos_pin.errors import InputError
-from eos_pin.meshes import Color, Mesh, link_meshes, mesh_file, skeleton, solid_mesh
+from eos_pin.meshes import Mesh, link_meshes, mesh_file, skeleton, solid_mesh
 from eos_pin.robot import Robot
 
 #: Points that a drawn path keeps at most.
 PATH_POINTS = 2000
-
-
-@dataclass(frozen=True, eq=False)
-class Obstacle:
-    """A solid in the robot's way, at rest or moving.
-
-    Attributes:
-        shape: Coal geometry in metres: `coal.Sphere(radius)`, `coal.Box(x, y, z)`, `coal.Cylinder(radius, height)`
-            about z, `coal.Capsule`, `coal.Ellipsoid`, `coal.Cone`, or a mesh. A disc is a flat cylinder.
-        placement: Where it is in the world: a point [m], a `pin.SE3`, or a function of time [s] that returns either.
-        name: Name in the legend.
-        color: Red, green, blue, opacity; each from 0 to 1.
-    """
-
-    shape: coal.CollisionGeometry
-    placement: VectorLike | pin.SE3 | Callable[[float], VectorLike | pin.SE3]
-    name: str = "obstacle"
-    color: Color = (0.80, 0.47, 0.65, 0.9)
-
-    def at(self, t: float) -> pin.SE3:
-        """Pose in the world at time `t` [s]."""
-        placement = self.placement(t) if callable(self.placement) else self.placement
-        if isinstance(placement, pin.SE3):
-            return placement
-        return pin.SE3(np.eye(3), vector(placement, 3, f"position of {self.name!r}"))
 
 
 @dataclass(frozen=True, eq=False)

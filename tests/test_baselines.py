@@ -113,7 +113,7 @@ def test_gravity_can_be_left_uncompensated(panda):
     np.testing.assert_allclose(difference, panda.gravity(q), atol=1e-10)
 
 
-def test_a_singular_task_is_refused(ur5, ppr):
+def test_a_singular_task_is_refused(ur5):
     task = PoseTask(ur5, tip(ur5))
     straight = np.zeros(6)
     controller = TaskSpaceController(task, Hold(task.value(straight), 6))

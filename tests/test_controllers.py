@@ -225,7 +225,7 @@ def test_loop_refuses_an_unusable_state_and_goes_on(panda, unchecked, q, dq, mes
         assert loop.memory is memory
 
 
-def test_loop_refuses_a_singular_start(ppr, ur5):
+def test_loop_refuses_a_singular_start(ur5):
     straight = np.zeros(6)
     task = PoseTask(ur5, tip(ur5))
     loop = ControlLoop(EosController(task, Hold(task.value(straight), 6)))
