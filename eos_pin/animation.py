@@ -64,6 +64,7 @@ def write_gif(
             ax.clear()
             ages = np.maximum(t - np.array(GHOSTS), start)
             plot_key_frames(ax, result, robot, times=np.unique(ages), trace=trace, label_times=False)
+            ax.legend_ = None  # it would cover the title, and changes nothing
             ax.set_aspect("equal", adjustable="box")
             ax.set(xlim=limits[0], ylim=limits[1], title=f"t = {t:.1f} s")
             canvas.draw()  # type: ignore[no-untyped-call]

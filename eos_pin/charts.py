@@ -34,8 +34,8 @@ from eos_pin.tasks import Point, Task, TaskPoint
 
 #: Up to this many joints one n × n solve is cheaper than the m × m form with its extra products.
 DENSE_SOLVE = 16
-#: A direction in which G' falls below this fraction of its largest singular value is given up by degrees in control.
-SOFT_SINGULAR = 0.02
+#: A direction in which the task moves less than this part of the robot's reach per radian is given up by degrees.
+SOFT_SINGULAR = 0.05
 #: Rate at which motion in a direction that is being lost is braked [1/s].
 BRAKING = 20.0
 
@@ -245,13 +245,17 @@ class Chart:
             A[: self.m] = J
             LU, _, ddq, info = lapack.dgesv(A, np.concatenate((task, self_motion)), 0, 1)
             if dq is not None and self._nearly_singular(LU):
-                return regularized_solve(A, np.concatenate((task, self_motion)), self._soft, -BRAKING * dq)
+                weights = self._weights
+                b = weights * np.concatenate((task, self_motion))
+                return regularized_solve(weights[:, None] * A, b, SOFT_SINGULAR, -BRAKING * dq)
         else:
             lifted = self.V.dot(self_motion)
             GQ, rest = J.dot(self._row_basis), task - J.dot(lifted)
             LU, _, step, info = lapack.dgesv(GQ, rest)
             if dq is not None and self._nearly_singular(LU):
-                step = regularized_solve(GQ, rest, self._soft, self._row_basis.T.dot(-BRAKING * dq))
+                weights = self._weights[: self.m]
+                brake = self._row_basis.T.dot(-BRAKING * dq)
+                step = regularized_solve(weights[:, None] * GQ, weights * rest, SOFT_SINGULAR, brake)
                 info = 0
             ddq = lifted + self._row_basis.dot(step)
         if info:
@@ -259,13 +263,19 @@ class Chart:
         return ddq
 
     def _nearly_singular(self, LU: Array) -> bool:
-        """Whether a factored matrix may have a singular value below `_soft`: no pivot is much smaller than the least."""
-        return min(map(abs, LU.diagonal().tolist())) < 8.0 * self._soft
+        """Whether a factored matrix may have lost a direction: its least pivot is about its least singular value."""
+        pivot = min(map(abs, LU.diagonal().tolist()))
+        return pivot < 4.0 * SOFT_SINGULAR * self._longest
 
     @cached_property
-    def _soft(self) -> float:
-        """Singular value below which a direction counts as being lost."""
-        return SOFT_SINGULAR * float(np.linalg.norm(self.U, 2))
+    def _longest(self) -> float:
+        return max(1.0, self.task.robot.reach)
+
+    @cached_property
+    def _weights(self) -> JointVector:
+        """Weight of each row of [G'; Vᵀ], so that metres are measured in reaches of the robot."""
+        lengths = np.array([unit == "m" for unit in self.task.units])
+        return np.concatenate((np.where(lengths, 1.0 / self.task.robot.reach, 1.0), np.ones(self.r)))
 
     @cached_property
     def _stacked(self) -> Float[Array, "n n"]:

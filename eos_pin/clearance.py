@@ -26,6 +26,9 @@ Placement: TypeAlias = "VectorLike | pin.SE3 | Callable[[float], VectorLike | pi
 #: Accuracy of distances between curved shapes that do not overlap; Coal's own 1e-6 m is too coarse for their slopes.
 ACCURACY = 1e-9
 
+#: A mesh whose thickness is a smaller part of its length counts as flat.
+FLAT = 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
@@ -105,9 +108,9 @@ class Clearance:
         object.__setattr__(self, "bodies", tuple(self.bodies or moving))
 
     @property
-    def _shapes(self) -> Sequence[pin.GeometryObject]:
+    def _shapes(self) -> list[pin.GeometryObject]:
         collision = self.robot.collision
-        return collision.geometryObjects if collision is not None else ()
+        return list(collision.geometryObjects) if collision is not None else []
 
     def _link(self, shape: pin.GeometryObject) -> str:
         return str(self.robot.model.frames[shape.parentFrame].name)
@@ -222,11 +225,15 @@ class Clearance:
 
 
 def _convex(shape: pin.GeometryObject) -> pin.GeometryObject:
-    """The shape, its mesh replaced by the convex hull."""
+    """The shape, its mesh replaced by the convex hull; a flat mesh has none and stays."""
     copy = shape.copy()
     if isinstance(shape.geometry, coal.BVHModelBase):
         # Built on a copy: the robot's own geometry stays as it is.
         mesh = shape.geometry.clone()
-        mesh.buildConvexHull(True, "Qt")
-        copy.geometry = mesh.convex
+        points = np.asarray(mesh.vertices())
+        extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        # The library that makes hulls crashes on a flat one.
+        if len(extents) == 3 and extents[2] > FLAT * extents[0]:
+            mesh.buildConvexHull(True, "Qt")
+            copy.geometry = mesh.convex
     return copy

@@ -126,7 +126,7 @@ def agreement(runs: Runs) -> Row:
         right = add_axes(figure, grid[0, 1])
         rows = min(len(first.t), len(second.t))
         deviation = np.linalg.norm(first.q[:rows] - second.q[:rows], axis=1)
-        right.plot(first.t[:rows], np.maximum(deviation, 1e-17), color=ACTUAL)
+        right.plot(first.t[1:rows], np.maximum(deviation[1:], 1e-17), color=ACTUAL)
         plot_charts(right, second)
         name_time(right, first)
         use_decades(right)

@@ -151,6 +151,7 @@ def motion_result(
         z_ref=z_ref,
         error=error,
         task_force=np.zeros_like(error),
+        given_up=np.zeros_like(error),
         v=v,
         dv=np.zeros_like(v),
         v_ref=v,

@@ -14,6 +14,7 @@ from eos_pin.atlas import Atlas
 from eos_pin.baselines import BASELINES
 from eos_pin.controllers import Controller, EosController
 from eos_pin.errors import InputError
+from eos_pin.limits import LimitedEosController
 from eos_pin.loading import Payload, Tool, load_robot
 from eos_pin.objectives import Damp, Objective, Posture, ReduceKineticEnergy, Track
 from eos_pin.presets import fitting_path, make_task, rest_posture
@@ -26,6 +27,7 @@ from eos_pin.trajectories import Harmonic, Hold, StackedTrajectory, Trajectory, 
 
 ControllerName = Literal[
     "eos",
+    "eos-limited",
     "task-space",
     "task-space-energy",
     "null-space-damping",
@@ -135,7 +137,8 @@ class ControlOptions:
     """How it is controlled.
 
     Attributes:
-        controller: EOS computed torque, or a traditional controller to compare with.
+        controller: EOS computed torque, the same within joint and torque limits (sampled runs), or a traditional
+            controller to compare with.
         self_motion: What the self-motion does: hold v, draw the joints to the start posture, damp, lower the kinetic
             energy, or be left free.
         v: Self-motion to hold, r numbers [rad or m]; by default where it is at the start.
@@ -157,13 +160,17 @@ class ControlOptions:
     kd_self_motion: float = 20.0
     chart_margin: float = 0.5
 
-    def make(self, task: Task, reference: Trajectory, q: JointVector) -> Controller:
-        """The controller."""
-        if self.controller != "eos":
+    def make(self, task: Task, reference: Trajectory, q: JointVector, rate: float | None) -> Controller:
+        """The controller, for a run sampled at `rate` [Hz] or a continuous one."""
+        if self.controller in BASELINES:
             return BASELINES[self.controller](task, reference, q)
         atlas = Atlas(task, threshold=self.chart_margin)
         law = self._law(task, reference, q)
-        return EosController(task, reference, law, kp=self.kp, kd=self.kd, atlas=atlas)
+        if self.controller == "eos":
+            return EosController(task, reference, law, kp=self.kp, kd=self.kd, atlas=atlas)
+        if rate is None:
+            raise InputError("limits are kept from one sample to the next; add --rate 1000")
+        return LimitedEosController(task, reference, law, period=1.0 / rate, kp=self.kp, kd=self.kd, atlas=atlas)
 
     def _law(self, task: Task, reference: Trajectory, q: JointVector) -> Objective:
         gains = {"kp": self.kp_self_motion, "kd": self.kd_self_motion}

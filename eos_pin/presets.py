@@ -32,16 +32,6 @@ TRIALS = 48
 ROOM = 0.6
 
 
-def reach(robot: Robot) -> float:
-    """Length of the robot from joint to joint [m]: an upper bound for how far it gets, 1 if it has no extent."""
-    steps = [np.linalg.norm(placement.translation) for placement in list(robot.model.jointPlacements)[2:]]
-    # The last body counts with the frame that is farthest from its joint.
-    tips = [
-        np.linalg.norm(f.placement.translation) for f in robot.model.frames if f.parentJoint == robot.model.njoints - 1
-    ]
-    return float(sum(steps) + max(tips, default=0.0)) or 1.0
-
-
 def rest_posture(task: Task) -> JointVector:
     """A posture inside the limits in which the task is far from singular, with as many joints at zero as can be.
 
@@ -54,7 +44,7 @@ def rest_posture(task: Task) -> JointVector:
     robot = task.robot
     q = np.clip(np.zeros(robot.n), robot.lower, robot.upper)
     choices = [_choices(robot, i) for i in range(robot.n)]
-    length = reach(robot)
+    length = robot.reach
     best = _merit(task, q, length)
     for _ in range(20):
         before = best
@@ -212,7 +202,7 @@ def _planes(free: Sequence[str], shape: Shape) -> list[str]:
 
 def _sizes(robot: Robot) -> list[float]:
     """Sizes that are tried, round numbers from a quarter of the reach downwards [m]."""
-    largest = 0.25 * reach(robot)
+    largest = 0.25 * robot.reach
     return [float(f"{largest * 0.8**k:.2g}") for k in range(16)]
 
 

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,11 +15,13 @@ from jaxtyping import Float, Int
 from eos_pin.arrays import Array, JointVector, Vector, VectorLike, number
 from eos_pin.controllers import EosController
 from eos_pin.errors import ChartError, EosError, SingularError
+from eos_pin.limits import LimitedEosController
 from eos_pin.results import Result, provenance
 from eos_pin.robot import Robot
 from eos_pin.systems import System
 from eos_pin.tasks import Task
 
+_TASK_COLUMNS = ("z", "dz", "z_ref", "error", "task_force", "given_up")
 #: Called with time and joints of every sample of a run: a progress bar, a live view.
 Observer: TypeAlias = Callable[[float, JointVector], None]
 
@@ -83,9 +86,7 @@ class Recorder:
         force = self.system.task_force
         task = getattr(controller, "task", None) or getattr(getattr(self.system, "atlas", None), "task", None)
         task = task or (force.task if force else None)
-        columns: dict[str, list[Any]] = {
-            name: [] for name in ("z", "dz", "z_ref", "error", "task_force", "v", "dv", "v_ref", "chart")
-        }
+        columns: dict[str, list[Any]] = {name: [] for name in (*_TASK_COLUMNS, "v", "dv", "v_ref", "chart")}
         numbers: dict[int, int] = {}
         for row in range(len(t)):
             chart = charts[row] or getattr(memories[row], "chart", None)
@@ -97,7 +98,7 @@ class Recorder:
             )
             columns["v_ref"].append(asked.z if asked else np.full(chart.r if chart else 0, np.nan))
             if task is None:
-                for name in ("z", "dz", "z_ref", "error", "task_force"):
+                for name in _TASK_COLUMNS:
                     columns[name].append(())
                 continue
             # The plant's own kinematics; the controller's model may differ in inertia only.
@@ -109,6 +110,10 @@ class Recorder:
             columns["z_ref"].append(z_ref)
             columns["error"].append(task.minus(z_ref, point.z) if reference else np.full(task.m, np.nan))
             columns["task_force"].append(np.asarray(force.force(t[row])) if force else np.zeros(task.m))
+            lost = np.zeros(task.m)
+            if isinstance(controller, EosController):
+                lost = controller.given_up(t[row], q[row], dq[row], memories[row])
+            columns["given_up"].append(lost)
         info = provenance() | {
             "robot": _record(plant),
             "task": task.describe() if task else None,
@@ -118,7 +123,7 @@ class Recorder:
             "cpu_seconds": cpu,
             "wall_seconds": wall,
         }
-        return Result(
+        run = Result(
             t=np.array(t),
             q=np.array(q),
             dq=np.array(dq),
@@ -134,6 +139,13 @@ class Recorder:
             message=self.message,
             info=info,
         )
+        lost = run.given_up_rows
+        if not (run.ok and lost.any()):
+            return run
+        why = "to keep the limits" if isinstance(controller, LimitedEosController) else "near a singularity of the task"
+        message = f"part of the task was given up for {run.given_up_seconds:.3g} s, first at t = {run.t[lost][0]:.4g} s, {why}"
+        # While the controller settles that is to be expected; later the run has not done what it was to do.
+        return replace(run, status="degraded" if lost[run.settled_row :].any() else run.status, message=message)
 
 
 def _ending(ending: BaseException, t: float) -> tuple[str, str]:
@@ -179,7 +191,7 @@ def joint_run(
     info = {"robot": _record(robot), "task": task.describe(), "controller": {"kind": "Kinematics"}, "arguments": {}}
     return Result(
         t=t, q=q, dq=still, ddq=still, tau=still,
-        z=reached, dz=0.0 * error, z_ref=z, error=error, task_force=0.0 * error,
+        z=reached, dz=0.0 * error, z_ref=z, error=error, task_force=0.0 * error, given_up=0.0 * error,
         v=v, dv=0.0 * v, v_ref=np.full_like(v, np.nan), chart=chart, switches=t[1:][np.diff(chart) != 0],
         kinetic_energy=rest, work=rest, period=period,
         status="unreached" if message else "finished", message=message, info=provenance() | info,

@@ -215,6 +215,8 @@ def run_table(summary: Mapping[str, Any]) -> Table:
     drift = ", ".join(figure(d) for d in summary["joint_drift_per_cycle"]) or "-"
     table.add_row("joint drift, cycle by cycle", drift)
     table.add_row("chart switches", str(summary["chart_switches"]))
+    if summary["given_up_seconds"]:
+        table.add_row("part of the task given up", f"{figure(summary['given_up_seconds'])} s")
     table.add_row("kinetic energy, mean", f"{figure(summary['kinetic_energy_mean'])} J")
     table.add_row("largest torque or force", f"{figure(summary['torque_max'])} N m or N")
     table.add_row("computing time", f"{summary['cpu_seconds']:.2f} s")

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from eos_pin.arrays import Array, Vector
 from eos_pin.errors import InputError, ResultError
@@ -30,6 +30,8 @@ from eos_pin.tasks import task_from
 
 #: Written into every file; a file with another one is refused.
 FORMAT = "eos_pin result 1"
+#: Task acceleration beyond rounding [m/s², rad/s²].
+GIVEN_UP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +51,7 @@ class Result:
         z_ref: Task points that were asked for, (T, size).
         error: Task error `minus(z_ref, z)` [m, rad], (T, m).
         task_force: Force of the environment on the task, or on that of the `TaskForce` [N, N m], (T, k).
+        given_up: Task acceleration that the control law asked for and the controller gave up, (T, m).
         v: Self-motion coordinates, (T, r).
         dv: Self-motion velocities, (T, r).
         v_ref: Self-motion that was asked for, NaN where none was, (T, r).
@@ -72,6 +75,7 @@ class Result:
     z_ref: Float[Array, "T size"]
     error: Float[Array, "T m"]
     task_force: Float[Array, "T k"]
+    given_up: Float[Array, "T m"]
     v: Float[Array, "T r"]
     dv: Float[Array, "T r"]
     v_ref: Float[Array, "T r"]
@@ -133,6 +137,16 @@ class Result:
         """v_ref − v; NaN where no self-motion was asked for."""
         return self.v_ref - self.v
 
+    @property
+    def given_up_rows(self) -> Bool[Array, " T"]:
+        """Where part of the task was given up, to keep limits or because it was singular."""
+        return (np.abs(self.given_up) > GIVEN_UP).any(axis=1)
+
+    @property
+    def given_up_seconds(self) -> float:
+        """How long part of the task was given up [s]."""
+        return float((np.diff(self.t) * self.given_up_rows[1:]).sum())
+
     def mean(self, values: Float[Array, " T"]) -> float:
         """Time average over the complete cycles after transients, or over all that comes after them."""
         first, last = self.settled_row, int(self.cycle_rows[-1]) if self.cycles > 1 else len(self.t) - 1
@@ -165,6 +179,7 @@ class Result:
             "task_error_max": _largest(self.error[late]),
             "self_motion_error_max": _largest(self.self_motion_error[late]),
             "joint_drift_per_cycle": [float(d) for d in self.joint_drift_per_cycle],
+            "given_up_seconds": self.given_up_seconds,
             "chart_switches": len(self.switches),
             "kinetic_energy_mean": self.mean(self.kinetic_energy),
             "torque_max": _largest(self.tau),

@@ -174,6 +174,14 @@ class Robot:
         return _bound(self.model.effortLimit)
 
     @cached_property
+    def reach(self) -> float:
+        """Length from joint to joint to the last frame [m]: an upper bound for how far it gets; 1 without any extent."""
+        model = self.model
+        steps = [np.linalg.norm(placement.translation) for placement in list(model.jointPlacements)[2:]]
+        last = [np.linalg.norm(f.placement.translation) for f in model.frames if f.parentJoint == model.njoints - 1]
+        return float(sum(steps) + max(last, default=0.0)) or 1.0
+
+    @cached_property
     def frames(self) -> tuple[str, ...]:
         """Names of all frames a task can use, from the base to the tip."""
         return tuple(dict.fromkeys(frame.name for frame in self.model.frames))

@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eos_pin.arrays import Array, JointVector, Vector, VectorLike, number, vector
+from eos_pin.errors import ViewerError
 from eos_pin.files import write_atomically
 from eos_pin.scene import Scene, sampled
 

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
-
-# Before NumPy is imported: the work is shared out over processes, each of which needs one thread.
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
 
 from eos_pin.claims import PLAN, claims_table, measure, study_table, update_block
 from eos_pin.cli import run

@@ -119,6 +119,17 @@ def test_the_paths_of_two_thresholds_are_close_where_steps_are_small(ppr):
     np.testing.assert_allclose(ends[1:], [ends[0]] * 2, atol=1e-8)
 
 
+def test_a_worn_chart_is_replaced_where_it_fails(ppr):
+    """The chart of y3 = 0 ends at y3 = π: handed over at 3.1 it cannot make the first step on, its successor can."""
+    task = every_task(ppr)["position xy"]
+    chart, q = Chart.at(task, np.zeros(3)), np.array([0.0, 0.0, 3.1])
+    path = Atlas(task).follow(q, [task.value(q)], v=chart.v(q) + 1.0, chart=chart)
+    check(Atlas(task), path)
+    assert path.complete
+    assert path.charts[0] is chart
+    assert path.q[0, 2] > np.pi
+
+
 def test_a_far_first_point_is_walked_to(position):
     """The path need not start where the robot is, and its points may lie far apart."""
     goals = np.array([[0.3, 0.45, 0.4], [0.4, -0.4, 0.6]])

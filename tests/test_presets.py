@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eos_pin import Atlas, Chart, InputError, PoseTask, PositionTask, StackedTask, load_robot
-from eos_pin.presets import fitting_path, make_task, reach, rest_posture
+from eos_pin.presets import fitting_path, make_task, rest_posture
 
 ROBOTS = ("panda", "xarm7", "talos_left_arm", "kinova", "ur5", "ppr", "planar_chain_10")
 
@@ -59,7 +59,7 @@ def test_reach_bounds_how_far_the_tip_gets() -> None:
     shoulder = robot.model.jointPlacements[1].translation
     for _ in range(200):
         tip = robot.placement(random.uniform(robot.lower, robot.upper), "panda_hand_tcp").translation
-        assert np.linalg.norm(tip - shoulder) <= reach(robot)
+        assert np.linalg.norm(tip - shoulder) <= robot.reach
 
 
 @pytest.mark.usefixtures("unchecked")
