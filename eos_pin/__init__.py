@@ -16,7 +16,7 @@ from eos_pin.baselines import (
 )
 from eos_pin.charts import Chart, ChartPoint, Inverse
 from eos_pin.clearance import Approach, Clearance, Obstacle
-from eos_pin.controllers import Controller, ControlLoop, EosController, OpenLoop
+from eos_pin.controllers import Controller, EosController, OpenLoop
 from eos_pin.dynamics import ExtendedDynamics, TaskSpaceDynamics, pseudoinverse
 from eos_pin.errors import (
     ChartError,
@@ -32,7 +32,10 @@ from eos_pin.errors import (
     ViewerError,
 )
 from eos_pin.library import available_robots
+from eos_pin.limits import JointLimits, LimitedEosController
 from eos_pin.loading import Payload, Tool, default_frame, leaf_frames, load_robot
+from eos_pin.loop import ControlLoop
+from eos_pin.mujoco_plant import MujocoPlant
 from eos_pin.objectives import (
     Damp,
     DescendPotential,
@@ -47,7 +50,7 @@ from eos_pin.positions import ComTask, PositionTask, RelativePositionTask
 from eos_pin.results import Result
 from eos_pin.robot import Joint, Robot
 from eos_pin.simulation import SensorNoise, simulate, simulate_eos, simulate_sampled
-from eos_pin.systems import TaskForce
+from eos_pin.systems import Friction, TaskForce
 from eos_pin.tasks import StackedTask, Task, TaskPoint, task_from
 from eos_pin.trajectories import (
     Geodesic,
@@ -86,6 +89,7 @@ __all__ = [
     "EosError",
     "ExtendedDynamics",
     "FreeNullSpace",
+    "Friction",
     "Geodesic",
     "Harmonic",
     "HeadingTask",
@@ -94,7 +98,10 @@ __all__ = [
     "Inverse",
     "InverseError",
     "Joint",
+    "JointLimits",
     "JointPath",
+    "LimitedEosController",
+    "MujocoPlant",
     "Objective",
     "Obstacle",
     "OpenLoop",

@@ -29,15 +29,13 @@ from eos_pin.arrays import (
     vector,
 )
 from eos_pin.errors import ChartError, InverseError
-from eos_pin.linear import RANK_TOLERANCE, check_rank, is_odd, null_space, regularized_solve
+from eos_pin.linear import FADING, RANK_TOLERANCE, check_rank, fading_solve, is_odd, null_space
 from eos_pin.tasks import Point, Task, TaskPoint
 
 #: Up to this many joints one n × n solve is cheaper than the m × m form with its extra products.
 DENSE_SOLVE = 16
-#: A direction in which the task moves less than this part of the robot's reach per radian is given up by degrees.
-SOFT_SINGULAR = 0.05
-#: Rate at which motion in a direction that is being lost is braked [1/s].
-BRAKING = 20.0
+#: What to say there.
+EDGE = "G'U is singular: this configuration is on the edge of the chart; make a chart at it"
 
 
 class Inverse(NamedTuple):
@@ -205,7 +203,7 @@ class Chart:
         if start is None:
             _, _, B, info = lapack.dgesv(GU, np.eye(self.m))
             if info:
-                raise ChartError("G'U is singular: this configuration is on the edge of the chart; make a chart at it")
+                raise ChartError(EDGE)
             return B
         B = start
         for _ in range(60):
@@ -235,47 +233,38 @@ class Chart:
             task: Task acceleration without drift, (m,).
             self_motion: Self-motion acceleration, (r,).
             dq: Joint velocities. With them, directions that are being lost near a singularity of the task are braked
-                instead, so that the result is bounded and continuous; see `regularized_solve`.
+                instead, so that the result is bounded and continuous; see `fading_solve`.
 
         Raises:
             ChartError: [G'; Vᵀ] is singular, and dq is not given.
         """
         if self.n <= DENSE_SOLVE:
-            A = self._stacked.copy(order="F")
+            A, b = self._stacked.copy(order="F"), np.concatenate((task, self_motion))
             A[: self.m] = J
-            LU, _, ddq, info = lapack.dgesv(A, np.concatenate((task, self_motion)), 0, 1)
-            if dq is not None and self._nearly_singular(LU):
-                weights = self._weights
-                b = weights * np.concatenate((task, self_motion))
-                return regularized_solve(weights[:, None] * A, b, SOFT_SINGULAR, -BRAKING * dq)
+            LU, _, ddq, info = lapack.dgesv(A, b, 0, 1)
+            if dq is not None and self._may_fade(LU):
+                return fading_solve(self._weights[:, None] * A, self._weights * b, dq)
         else:
             lifted = self.V.dot(self_motion)
-            GQ, rest = J.dot(self._row_basis), task - J.dot(lifted)
-            LU, _, step, info = lapack.dgesv(GQ, rest)
-            if dq is not None and self._nearly_singular(LU):
+            A, b = J.dot(self._row_basis), task - J.dot(lifted)
+            LU, _, step, info = lapack.dgesv(A, b)
+            if dq is not None and self._may_fade(LU):
                 weights = self._weights[: self.m]
-                brake = self._row_basis.T.dot(-BRAKING * dq)
-                step = regularized_solve(weights[:, None] * GQ, weights * rest, SOFT_SINGULAR, brake)
-                info = 0
+                step, info = fading_solve(weights[:, None] * A, weights * b, self._row_basis.T.dot(dq)), 0
             ddq = lifted + self._row_basis.dot(step)
         if info:
-            raise ChartError("[G'; Vᵀ] is singular: this configuration is on the edge of the chart; make a chart at it")
+            raise ChartError(EDGE)
         return ddq
 
-    def _nearly_singular(self, LU: Array) -> bool:
-        """Whether a factored matrix may have lost a direction: its least pivot is about its least singular value."""
-        pivot = min(map(abs, LU.diagonal().tolist()))
-        return pivot < 4.0 * SOFT_SINGULAR * self._longest
-
-    @cached_property
-    def _longest(self) -> float:
-        return max(1.0, self.task.robot.reach)
+    def _may_fade(self, LU: Array) -> bool:
+        """Whether a factored matrix may have a direction that fades: its least pivot is near its least singular value."""
+        return min(map(abs, LU.diagonal().tolist())) < 4.0 * FADING * max(1.0, self.task.robot.reach)
 
     @cached_property
     def _weights(self) -> JointVector:
         """Weight of each row of [G'; Vᵀ], so that metres are measured in reaches of the robot."""
-        lengths = np.array([unit == "m" for unit in self.task.units])
-        return np.concatenate((np.where(lengths, 1.0 / self.task.robot.reach, 1.0), np.ones(self.r)))
+        metre = 1.0 / self.task.robot.reach
+        return np.array([metre if unit == "m" else 1.0 for unit in self.task.units] + [1.0] * self.r)
 
     @cached_property
     def _stacked(self) -> Float[Array, "n n"]:

@@ -49,7 +49,7 @@ def track(
     machine = robot.load()
     goal, q = task.make(machine)
     reference = path.make(goal, q)
-    controller = control.make(goal, reference, q, simulation.rate)
+    controller = control.make(goal, reference, q, simulation.period)
     title = f"{machine.name}, {task.task}"
     result = simulation.run(machine, controller, q, path.length(reference), output, title)
     names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
@@ -95,7 +95,7 @@ def compare(
     duration = path.length(reference)
     results: dict[str, Result] = {}
     for kind in controllers:
-        controller = ControlOptions(kind).make(goal, reference, q, simulation.rate)
+        controller = ControlOptions(kind).make(goal, reference, q, simulation.period)
         results[kind] = simulation.run(machine, controller, q, duration, output, f"{machine.name}: {kind}")
     summaries = {name: result.summary() for name, result in results.items()}
     rows = []

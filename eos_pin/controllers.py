@@ -2,16 +2,15 @@
 
 A controller is a value. What it must remember between calls (the chart it is on) is an explicit memory, so that a
 driver may evaluate `torque` at trial times and states, as an ODE solver does, without changing anything; only
-`update`, called once where a step has been accepted, may move on to the next chart.
+`update`, called once where a step has been accepted, may move on to the next chart. For a loop of your own, `ControlLoop`
+keeps the memory.
 """
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ import numpy as np
 from eos_pin.arrays import JointVector, TaskVector, VectorLike, readonly, spread, vector
 from eos_pin.atlas import Atlas
 from eos_pin.charts import Chart
-from eos_pin.errors import InputError, SingularError, StateError
+from eos_pin.errors import InputError, SingularError
 from eos_pin.objectives import Objective, Track
 from eos_pin.robot import Robot
 from eos_pin.tasks import Task, TaskPoint
@@ -253,54 +252,3 @@ class OpenLoop(Controller):
 
     def torque(self, t: float, q: JointVector, dq: JointVector, memory: Any) -> JointVector:
         return np.asarray(self.tau(t), dtype=float)
-
-
-class ControlLoop:
-    """A controller with its memory, for a control loop of your own.
-
-    >>> loop = ControlLoop(controller)          # doctest: +SKIP
-    >>> tau = loop.step(t, q, dq)               # doctest: +SKIP
-
-    Args:
-        controller: The controller.
-    """
-
-    def __init__(self, controller: Controller) -> None:
-        self.controller = controller
-        self.memory: Any = None
-
-    @cached_property
-    def _shape(self) -> tuple[int, ...] | None:
-        robot = getattr(self.controller, "robot", None)
-        return None if robot is None else (robot.n,)
-
-    def reset(self) -> None:
-        """Forget the chart; the next step starts a run."""
-        self.memory = None
-
-    def step(self, t: float, q: VectorLike, dq: VectorLike) -> JointVector:
-        """Joint torques at time t [s] in the state (q, dq) [N m or N].
-
-        Raises:
-            StateError: q or dq has the wrong shape or is not finite; nothing is changed, the next step may go on.
-            SingularError: The task is singular here.
-        """
-        state = self._state(q, dq)
-        if self.memory is None:
-            self.memory = self.controller.start(t, *state)
-        tau, self.memory = self.controller.step(t, *state, self.memory)
-        return tau
-
-    def _state(self, q: Any, dq: Any) -> tuple[JointVector, JointVector]:
-        try:
-            if q.shape == dq.shape == (self._shape or q.shape) and math.isfinite(q.dot(q) + dq.dot(dq)):
-                return q, dq
-        except (AttributeError, TypeError, ValueError):
-            pass
-        return self._checked(q, "q"), self._checked(dq, "dq")
-
-    def _checked(self, values: VectorLike, name: str) -> JointVector:
-        try:
-            return vector(values, self._shape[0] if self._shape else None, name)
-        except InputError as error:
-            raise StateError(f"no torque for this state: {error}") from None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eos_pin.claims import Claim, Runs
+from eos_pin.claims import FOOTNOTE, Claim, Runs
 from eos_pin.paper import Example
 from eos_pin.report import Output, console, deliver, figure, grid, watched
 from eos_pin.results import Result
@@ -81,11 +81,12 @@ def run_rows(title: str, results: Mapping[str, Result]) -> Any:
     for name, result in results.items():
         summary = result.summary()
         drift = summary["joint_drift_per_cycle"] or [np.nan]
-        energies = summary["kinetic_energy_mean"], float(result.kinetic_energy.max(initial=0.0))
+        peak = float(result.kinetic_energy.max(initial=0.0))
+        energies = (summary["kinetic_energy_mean"], peak) if peak else (np.nan, np.nan)
         charts = 1 + summary["chart_switches"]
         rows.append((name, summary["status"], summary["task_error_max"], drift[0], drift[-1], *energies, charts))
-    # A column that says nothing of any run is left out.
-    shown = [k for k in range(len(columns)) if any(row[k] == row[k] for row in rows)]
+    # A column that says nothing of any run is left out, to fit a narrow terminal.
+    shown = [k for k in range(len(columns)) if any(row[k] == row[k] and row[k] != "finished" for row in rows)]
     return grid(title, [columns[k] for k in shown], [[row[k] for k in shown] for row in rows])
 
 
@@ -95,6 +96,7 @@ def claim_rows(claims: Sequence[Claim]) -> Any:
     from rich.table import Table
 
     table = Table("section", "claim", "measured", "bound", "holds", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.caption = FOOTNOTE if any("¹" in claim.statement for claim in claims) else None
     for claim in claims:
         bound = f"{'≥' if claim.at_least else '≤'} {claim.bound:g} {claim.unit}"
         holds = "yes" if claim.holds else "[bold red]no[/]"

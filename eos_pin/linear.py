@@ -6,11 +6,15 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
-from eos_pin.arrays import Array, Jacobian, Matrix, Vector
+from eos_pin.arrays import Array, Jacobian, JointVector, Matrix, Vector
 from eos_pin.errors import SingularError
 
 #: G' counts as rank deficient where its smallest singular value falls below this fraction of the largest.
 RANK_TOLERANCE = 1e-7
+#: Below this singular value a direction fades out of a control law: 0.05 of the robot's reach per radian.
+FADING = 0.05
+#: Rate at which motion in a direction that fades out is braked [1/s].
+BRAKING = 20.0
 
 
 def check_rank(J: Jacobian) -> None:
@@ -49,19 +53,18 @@ def is_odd(LU: Array, pivots: Array) -> bool:
     return signs % 2 == 1
 
 
-def regularized_solve(A: Matrix, b: Vector, threshold: float, fallback: Vector) -> Vector:
-    """Solution of A x = b that stays bounded and continuous where A loses rank.
+def fading_solve(A: Matrix, b: Vector, dq: JointVector) -> JointVector:
+    """Solution of A x = b that stays bounded and continuous where A loses rank, for accelerations of joints that move.
 
-    A singular value s below the threshold ε counts as s/ε² instead of 1/s, so that the lost direction fades out, and
-    the fallback takes its place by the part 1 − s²/ε². Above the threshold this is the plain solution.
+    A singular value s below ε = FADING counts as s/ε² instead of 1/s, so that its direction fades out, and braking
+    −BRAKING dq takes its place by the part 1 − s²/ε². Above ε this is the plain solution.
 
     Args:
-        A: Square matrix.
-        b: Right side.
-        threshold: Singular value ε below which a direction is given up by degrees.
-        fallback: What x should be in a direction that is lost altogether.
+        A: Square matrix, its rows weighted so that singular values compare.
+        b: Right side, weighted likewise.
+        dq: Joint velocities.
     """
     X, s, Yt = np.linalg.svd(A)
-    kept = np.minimum((s / threshold) ** 2, 1.0)
-    gain = np.where(s >= threshold, 1.0 / np.maximum(s, threshold), s / threshold**2)
-    return Yt.T @ (gain * (X.T @ b) + (1.0 - kept) * (Yt @ fallback))
+    kept = np.minimum((s / FADING) ** 2, 1.0)
+    gain = np.minimum(s / FADING**2, 1.0 / np.maximum(s, FADING))
+    return Yt.T @ (gain * (X.T @ b) - (1.0 - kept) * BRAKING * (Yt @ dq))

@@ -9,13 +9,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from eos_pin.arrays import JointVector, vector
+from eos_pin.arrays import JointVector, number, vector
 from eos_pin.atlas import Atlas
 from eos_pin.baselines import BASELINES
 from eos_pin.controllers import Controller, EosController
 from eos_pin.errors import InputError
 from eos_pin.limits import LimitedEosController
 from eos_pin.loading import Payload, Tool, load_robot
+from eos_pin.mujoco_plant import MujocoPlant
 from eos_pin.objectives import Damp, Objective, Posture, ReduceKineticEnergy, Track
 from eos_pin.presets import fitting_path, make_task, rest_posture
 from eos_pin.report import Output, watched
@@ -160,17 +161,17 @@ class ControlOptions:
     kd_self_motion: float = 20.0
     chart_margin: float = 0.5
 
-    def make(self, task: Task, reference: Trajectory, q: JointVector, rate: float | None) -> Controller:
-        """The controller, for a run sampled at `rate` [Hz] or a continuous one."""
+    def make(self, task: Task, reference: Trajectory, q: JointVector, period: float | None) -> Controller:
+        """The controller, for a run with a control period [s], or None for a continuous one."""
         if self.controller in BASELINES:
             return BASELINES[self.controller](task, reference, q)
         atlas = Atlas(task, threshold=self.chart_margin)
         law = self._law(task, reference, q)
         if self.controller == "eos":
             return EosController(task, reference, law, kp=self.kp, kd=self.kd, atlas=atlas)
-        if rate is None:
+        if period is None:
             raise InputError("limits are kept from one sample to the next; add --rate 1000")
-        return LimitedEosController(task, reference, law, period=1.0 / rate, kp=self.kp, kd=self.kd, atlas=atlas)
+        return LimitedEosController(task, reference, law, period=period, kp=self.kp, kd=self.kd, atlas=atlas)
 
     def _law(self, task: Task, reference: Trajectory, q: JointVector) -> Objective:
         gains = {"kp": self.kp_self_motion, "kd": self.kd_self_motion}
@@ -197,6 +198,8 @@ class RunOptions:
     """How it is simulated.
 
     Attributes:
+        plant: What moves the robot: our own equations of motion, or MuJoCo (pip install 'eos-pin[mujoco]'), which runs
+            sampled, at 1000 Hz unless said otherwise.
         rate: Run sampled at this many control periods per second, with held torques; continuous by default [Hz].
         substeps: Steps of the plant in each control period.
         noise: Standard deviation of measured joints [rad or m], and of measured velocities ten times that per second.
@@ -207,6 +210,7 @@ class RunOptions:
         rtol: Tolerance of a continuous run.
     """
 
+    plant: Literal["pinocchio", "mujoco"] = "pinocchio"
     rate: float | None = None
     substeps: int = 1
     noise: float = 0.0
@@ -215,6 +219,13 @@ class RunOptions:
     model_error: float = 0.0
     method: Literal["DOP853", "LSODA", "RK45", "Radau", "BDF"] = "DOP853"
     rtol: float = 1e-9
+
+    @property
+    def period(self) -> float | None:
+        """Control period of a sampled run [s]; None for a continuous one."""
+        if self.rate is None:
+            return 1e-3 if self.plant == "mujoco" else None
+        return 1.0 / number(self.rate, "the rate", above=0.0)
 
     def run(
         self,
@@ -229,21 +240,21 @@ class RunOptions:
         """Run the closed loop, with a progress bar and perhaps a live view."""
         e = self.model_error
         plant = robot.perturbed(mass=e, com=e, inertia=e, seed=output.seed) if e else robot
-        if self.rate is None and (self.noise or self.delay or self.torque_limits):
+        plant = MujocoPlant.of(plant) if self.plant == "mujoco" else plant
+        period = self.period
+        if period is None and (self.noise or self.delay or self.torque_limits):
             raise InputError("noise, delay and torque limits are those of a sampled run; add --rate 1000")
         with watched(output, robot, q, duration, title, scene) as observer:
-            if self.rate is None:
+            if period is None:
                 return simulate(
                     plant, controller, q, duration=duration, method=self.method, rtol=self.rtol, observer=observer
                 )
-            if not self.rate > 0.0:
-                raise InputError(f"the rate must be above 0 Hz, got {self.rate}")
             return simulate_sampled(
                 plant,
                 controller,
                 q,
                 duration=duration,
-                period=1.0 / self.rate,
+                period=period,
                 substeps=self.substeps,
                 noise=SensorNoise(self.noise, 10.0 * self.noise) if self.noise else None,
                 delay=self.delay,

@@ -226,7 +226,7 @@ def noncyclic(
         task = make_task(load_robot(robot, chain_to="auto"))
         q = rest_posture(task)
         curve = fitting_path(task, q, shape=path)
-    duration = cycles * curve.period
+    duration = _length(cycles) / math.tau * curve.period
 
     laws: dict[str, Callable[..., Result]] = {
         "velocity control": partial(rate_control, rtol=rtol),

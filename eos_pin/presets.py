@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import combinations
 from typing import Literal, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 
-from eos_pin.arrays import JointVector, number, readonly
+from eos_pin.arrays import Array, JointVector, number, readonly
 from eos_pin.atlas import Atlas
 from eos_pin.errors import InputError
+from eos_pin.linear import FADING
 from eos_pin.loading import default_frame
 from eos_pin.orientations import HeadingTask, OrientationTask, PoseTask
 from eos_pin.positions import ComTask, PositionTask
@@ -30,6 +32,14 @@ PERIODS = (4.0, 5.0, 6.0, 8.0, 10.0)
 TRIALS = 48
 #: A path fits if it stays on charts of at least this margin, within this part of the joint ranges and velocities.
 ROOM = 0.6
+#: Least motion of the task, in radians or reaches of the robot per radian of the joints, that a posture should allow.
+CLEAR = 2.0 * FADING
+#: The same for every point of a path.
+PASSABLE = 1.5 * FADING
+#: Where no posture allows more than this, the joints cannot move the task in that direction at all.
+STUCK = 1e-3
+#: Random postures that show what a robot can do.
+SAMPLES = 20
 
 
 def rest_posture(task: Task) -> JointVector:
@@ -42,22 +52,30 @@ def rest_posture(task: Task) -> JointVector:
         task: The task; its robot is meant.
     """
     robot = task.robot
-    q = np.clip(np.zeros(robot.n), robot.lower, robot.upper)
-    choices = [_choices(robot, i) for i in range(robot.n)]
-    length = robot.reach
-    best = _merit(task, q, length)
+    zero = np.clip(np.zeros(robot.n), robot.lower, robot.upper)
+    found = [_climb(task, zero)]
+    if _least(task, found[0]) < CLEAR:
+        # The zero posture was a bad place to start from.
+        found += [_climb(task, q) for q in _postures(robot, SAMPLES // 2)]
+    return readonly(max(found, key=lambda q: _merit(task, q)))
+
+
+def _climb(task: Task, q: JointVector) -> JointVector:
+    """Turn joint after joint to where the merit of the posture is largest."""
+    choices = [_choices(task.robot, i) for i in range(q.size)]
+    best = _merit(task, q)
     for _ in range(20):
         before = best
-        for i in range(robot.n):
+        for i in range(q.size):
             for value in choices[i]:
                 trial = q.copy()
                 trial[i] = value
-                merit = _merit(task, trial, length)
+                merit = _merit(task, trial)
                 if merit > best + 1e-9:
                     best, q = merit, trial
         if best == before:
             break
-    return readonly(q)
+    return q
 
 
 def fitting_path(
@@ -71,8 +89,9 @@ def fitting_path(
 ) -> Trajectory:
     """A periodic path through the task point at q that the robot can follow within its limits.
 
-    What is not given is chosen: the largest size up to a quarter of the robot's reach that stays on one chart and
-    inside the joint limits, the first plane that has it, and the shortest period at which no joint is too fast.
+    What is not given is chosen: the largest size up to a quarter of the robot's reach that stays on one chart, inside
+    the joint limits and clear of singularities, the first plane that has it, and the shortest period of a few at which
+    no joint is too fast. Where every size is too fast for these, it is the smallest, as slow as it must be.
 
     Args:
         task: The task; the path runs in its coordinates of length, and holds its orientation.
@@ -95,7 +114,7 @@ def fitting_path(
         raise InputError(f"{task!r} has no coordinates of length to draw a path in; use the shape 'hold'")
     sizes = [number(size, "the size of the path", above=0.0)] if size is not None else _sizes(task.robot)
     periods = PERIODS if period is None else (number(period, "the period", above=0.0),)
-    failures = []
+    failures, slow = [], None
     for length in sizes:
         for where in [plane] if plane else _planes(free, shape):
             path = _draw(task, z, shape, length, where, free, periods[0])
@@ -103,6 +122,7 @@ def fitting_path(
             fast = next((p for p in periods if p >= slowdown * periods[0]), None)
             if not failure and fast is None:
                 failure = "a joint is too slow for it"
+                slow = _draw(task, z, shape, length, where, free, math.ceil(slowdown * periods[0]))
             if not failure:
                 return _draw(task, z, shape, length, where, free, fast or periods[-1])
             failures.append(f"{length:.3g} m in {where}: {failure}")
@@ -111,6 +131,8 @@ def fitting_path(
                 return path
     if size is not None:
         return _draw(task, z, shape, sizes[0], _planes(free, shape)[0], free, periods[0])
+    if slow is not None and period is None:
+        return slow
     raise InputError(
         f"no path of this shape fits at this posture; the smallest tried: {failures[-1]}. Try another posture"
     )
@@ -123,51 +145,104 @@ def make_task(robot: Robot, kind: TaskKind = "position", *, frame: str = "", axe
         robot: The robot.
         kind: What counts. On a planar robot a position has two coordinates, a pose two and the heading.
         frame: Frame that does the task; by default the one `default_frame` names.
-        axes: Axes of a position or centre of mass; by default all along which it can move.
+        axes: Axes of a position or centre of mass; by default as many as the joints can move it along.
+
+    Raises:
+        InputError: The joints cannot move the task in all its directions, in no posture.
     """
     if kind not in TASK_KINDS:
         raise InputError(f"the kind of a task is one of {', '.join(TASK_KINDS)}; got {kind!r}")
     frame = frame or default_frame(robot)
     point: Callable[[str], Task] = partial(PositionTask, robot, frame) if kind != "com" else partial(ComTask, robot)
-    free = axes or _free_axes(robot, point)
+    task: Task
     if kind in ("position", "com"):
-        return point(free)
-    if kind == "orientation":
-        return OrientationTask(robot, frame)
-    if kind == "pose" and len(free) == 3:
-        return PoseTask(robot, frame)
-    heading = HeadingTask(robot, frame)
-    return heading if kind == "heading" else StackedTask([point(free), heading])
+        task = point(axes or _free_axes(robot, point, frame))
+    elif kind == "orientation":
+        task = OrientationTask(robot, frame)
+    elif kind == "heading":
+        task = HeadingTask(robot, frame)
+    elif _is_planar(robot, frame):
+        task = StackedTask([point(axes or "xy"), HeadingTask(robot, frame)])
+    else:
+        task = PoseTask(robot, frame)
+    sigma = max((_sigma(task, q) for q in _postures(robot)), key=min)
+    if sigma[-1] < STUCK:
+        raise InputError(
+            f"{task!r} has {task.m} coordinates, but the {robot.n} joints of {robot.name!r} move only "
+            f"{int((sigma >= STUCK).sum())} of them independently, in no posture more. Choose fewer axes, another kind "
+            "of task, or another frame"
+        )
+    return task
 
 
-def _free_axes(robot: Robot, point: Callable[[str], Task]) -> str:
-    """Axes along which a point of the robot can move at all."""
+def _free_axes(robot: Robot, point: Callable[[str], Task], frame: str) -> str:
+    """As many axes as the joints can move a point along independently and well; of these, those they do best."""
+    rows = [np.concatenate([point(axis).linearize(q)[1] for axis in "xyz"]) / robot.reach for q in _postures(robot)]
+    for count in range(min(3, robot.n), 0, -1):
+        best = {
+            axes: max(np.linalg.svd(J[list(axes)], compute_uv=False)[-1] for J in rows)
+            for axes in combinations(range(3), count)
+        }
+        axes = max(best, key=lambda axes: best[axes])
+        if best[axes] >= CLEAR:
+            return "".join("xyz"[i] for i in axes)
+    raise InputError(
+        f"frame {frame!r} of {robot.name!r} stays where it is when the joints move, or nearly so; choose another frame, "
+        "or a task that counts its orientation"
+    )
+
+
+def _is_planar(robot: Robot, frame: str) -> bool:
+    """Whether a frame keeps its height and only ever turns about the vertical."""
+    for q in _postures(robot):
+        J = pin.computeFrameJacobian(robot.model, robot._data, q, robot.frame_id(frame), pin.LOCAL_WORLD_ALIGNED)
+        if np.abs(J[2:5]).max() > 1e-9:
+            return False
+    return True
+
+
+def _postures(robot: Robot, count: int = SAMPLES) -> list[JointVector]:
+    """Random postures within the limits, always the same ones."""
     random = np.random.default_rng(0)
-    free = ""
-    for axis in "xyz":
-        task = point(axis)
-        moves = max(np.abs(task.linearize(random.uniform(-1.0, 1.0, robot.n))[1]).max() for _ in range(5))
-        free += axis if moves > 1e-9 else ""
-    return free or "xyz"
+    ranges = np.array([_range(robot, i) for i in range(robot.n)])
+    return list(random.uniform(ranges[:, 0], ranges[:, 1], (count, robot.n)))
+
+
+def _sigma(task: Task, q: JointVector) -> Array:
+    """Singular values of the Jacobian, lengths measured in reaches of the robot."""
+    scale = np.array([1.0 / task.robot.reach if unit == "m" else 1.0 for unit in task.units])
+    return np.linalg.svd(scale[:, None] * task.linearize(q)[1], compute_uv=False)
+
+
+def _least(task: Task, q: JointVector) -> float:
+    """Least motion of the task per radian of the joints, in any direction."""
+    return float(_sigma(task, q)[-1])
+
+
+def _range(robot: Robot, i: int) -> tuple[float, float]:
+    """Positions of joint i worth a try: within its limits, and not far from zero."""
+    far = robot.reach if robot.joints[i].kind == "prismatic" else math.pi
+    near = float(np.clip(0.0, robot.lower[i], robot.upper[i]))
+    return max(float(robot.lower[i]), near - far), min(float(robot.upper[i]), near + far)
 
 
 def _choices(robot: Robot, i: int) -> Sequence[float]:
-    """Positions of joint i that are tried, those near the middle of its range first."""
-    lower, upper = max(robot.lower[i], -math.pi), min(robot.upper[i], math.pi)
-    if robot.joints[i].kind == "prismatic":
-        values = lower + (upper - lower) * np.linspace(0.2, 0.8, 5) if math.isfinite(robot.lower[i]) else np.zeros(1)
-    else:
-        step = math.pi / 12.0
-        values = step * np.arange(math.ceil(lower / step), math.floor(upper / step) + 1)
+    """Positions of joint i that are tried, those near zero first."""
+    prismatic = robot.joints[i].kind == "prismatic"
+    if prismatic and not math.isfinite(robot.lower[i]) and not math.isfinite(robot.upper[i]):
+        return [0.0]
+    lower, upper = _range(robot, i)
+    step = math.pi / 12.0
+    values = step * np.arange(math.ceil(lower / step), math.floor(upper / step) + 1)
+    if prismatic or values.size < 3:
+        values = lower + (upper - lower) * np.linspace(0.2, 0.8, 5)
     return sorted(values.tolist(), key=abs)
 
 
-def _merit(task: Task, q: JointVector, length: float) -> float:
+def _merit(task: Task, q: JointVector) -> float:
     """How good a posture is to start from."""
     robot = task.robot
-    _, J = task.linearize(q)
-    scale = np.array([1.0 / length if unit == "m" else 1.0 for unit in task.units])
-    sigma = np.linalg.svd(scale[:, None] * J, compute_uv=False)
+    sigma = _sigma(task, q)
     # Far enough from singular is enough: nobody gains from the last bit.
     merit = float(np.log(np.minimum(sigma / sigma[0], 0.35) + 0.02).sum())
     # Room to the limits, where there are limits: nothing in the middle half of the range, steep at its ends.
@@ -182,7 +257,7 @@ def _merit(task: Task, q: JointVector, length: float) -> float:
     if abs(down[2]) > 0.9 * np.linalg.norm(down) > 0.0:
         pin.forwardKinematics(robot.model, robot._data, q)
         heights = [-math.copysign(1.0, down[2]) * float(p.translation[2]) for p in list(robot._data.oMi)[1:]]
-        merit -= 5.0 * max(0.0, heights[0] - min(heights)) / length
+        merit -= 5.0 * max(0.0, heights[0] - min(heights)) / robot.reach
     return merit
 
 
@@ -203,7 +278,8 @@ def _planes(free: Sequence[str], shape: Shape) -> list[str]:
 def _sizes(robot: Robot) -> list[float]:
     """Sizes that are tried, round numbers from a quarter of the reach downwards [m]."""
     largest = 0.25 * robot.reach
-    return [float(f"{largest * 0.8**k:.2g}") for k in range(16)]
+    factors = np.concatenate((0.8 ** np.arange(12), 0.8**12 * 0.5 ** np.arange(7)))
+    return [float(f"{largest * factor:.2g}") for factor in factors]
 
 
 def _draw(
@@ -245,5 +321,7 @@ def _fits(task: Task, q: JointVector, path: Trajectory) -> tuple[float, str]:
     if outside.any():
         names = [robot.joints[i].name for i in np.flatnonzero(outside.any(axis=0))]
         return math.inf, f"joints {', '.join(names)} come near their limits"
+    if min(_least(task, row) for row in found.q) < PASSABLE:
+        return math.inf, "it comes near a singularity of the task"
     velocity = np.abs(np.diff(found.q, axis=0)).max(axis=0) * TRIALS / path.period
     return float((velocity / (ROOM * robot.velocity)).max()), ""

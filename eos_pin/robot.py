@@ -176,9 +176,14 @@ class Robot:
     @cached_property
     def reach(self) -> float:
         """Length from joint to joint to the last frame [m]: an upper bound for how far it gets; 1 without any extent."""
-        model = self.model
+        model, end = self.model, self.options.get("chain_to")
         steps = [np.linalg.norm(placement.translation) for placement in list(model.jointPlacements)[2:]]
-        last = [np.linalg.norm(f.placement.translation) for f in model.frames if f.parentJoint == model.njoints - 1]
+        # Beyond the end of a chain there may be a whole robot that is locked.
+        last = [
+            np.linalg.norm(frame.placement.translation)
+            for frame in model.frames
+            if frame.parentJoint == model.njoints - 1 and end in (None, frame.name)
+        ]
         return float(sum(steps) + max(last, default=0.0)) or 1.0
 
     @cached_property

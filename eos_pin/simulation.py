@@ -13,12 +13,13 @@ import numpy as np
 
 from eos_pin.arrays import JointVector, Vector, VectorLike, number, spread, vector
 from eos_pin.atlas import Atlas
-from eos_pin.controllers import Controller, ControlLoop
+from eos_pin.controllers import Controller
 from eos_pin.errors import ChartError, InputError
+from eos_pin.loop import ControlLoop
 from eos_pin.recording import Observer, Recorder, Stop, sample_times
 from eos_pin.results import Result
 from eos_pin.robot import Robot
-from eos_pin.systems import ExtendedSystem, JointSystem, System, TaskForce
+from eos_pin.systems import ExtendedSystem, Friction, JointSystem, System, TaskForce
 
 Method: TypeAlias = Literal["DOP853", "RK45", "LSODA", "Radau", "BDF"]
 #: More accepted steps than this, and as many again for each simulated second, mean that a run is stuck.
@@ -141,6 +142,8 @@ def simulate_sampled(
     substeps: int = 1,
     noise: SensorNoise | None = None,
     delay: float = 0.0,
+    dropout: float = 0.0,
+    friction: Friction | None = None,
     torque_limits: bool | VectorLike = False,
     rate: float = 100.0,
     seed: int = 0,
@@ -150,18 +153,20 @@ def simulate_sampled(
     """Run a controller as a computer would: sampled, its torque held over each period.
 
     Args:
-        plant: The robot that moves; it need not be the robot the controller knows.
+        plant: The robot that moves; it need not be the robot the controller knows. A `MujocoPlant` steps itself.
         controller: The controller, called once a period.
         q: Joints at the start, (n,).
         dq: Joint velocities at the start, at rest by default.
         duration: Length of the run [s].
         period: Control period [s].
-        substeps: Runge–Kutta steps (order 4) of the plant in each period.
+        substeps: Steps of the plant in each period, by the Runge–Kutta method of order 4 or its own.
         noise: Errors of the measured state.
         delay: Age of the state that the controller sees [s], rounded to whole periods.
+        dropout: Probability that the controller misses a period, and the torque of the last one stays.
+        friction: Friction in the joints of the plant, which no controller knows.
         torque_limits: Clip the torque: True at the plant's own limits, or at limits of your own, (n,) [N m or N].
         rate: Samples kept per second, besides the exact multiples of the reference's period.
-        seed: Seed of the noise.
+        seed: Seed of the noise and the dropouts.
         task_force: Force of the environment.
         observer: Called with (t, q) of every sample.
 
@@ -179,16 +184,22 @@ def simulate_sampled(
         limits = plant.effort if torque_limits is True else spread(torque_limits, plant.n, "the torque limits")
         if not (limits > 0.0).all():
             raise InputError(f"the torque limits must be above 0, got {limits.tolist()}")
+    if not 0.0 <= number(dropout, "the dropout") < 1.0:
+        raise InputError(f"the dropout is a probability from 0 to below 1, got {dropout}")
     random = np.random.default_rng(seed)
-    system = JointSystem(plant, controller, task_force)
+    system = JointSystem(plant, controller, task_force, friction)
     system.begin(q, dq)
-    loop = ControlLoop(controller)
+    loop = ControlLoop(controller, torque_limits=False, jump=math.inf)
     arguments = {
         "kind": "sampled",
         "control_period": period,
         "substeps": substeps,
+        "plant": type(plant).__name__,
+        "integrator": getattr(plant, "integrator", "RK4"),
         "noise": [noise.q, noise.dq] if noise else None,
         "delay": lag * period,
+        "dropout": float(dropout),
+        "friction": None if friction is None else friction.describe(),
         "torque_limits": None if limits is None else limits.tolist(),
         "seed": seed,
     }
@@ -207,16 +218,17 @@ def simulate_sampled(
                     state[1] + noise.dq * random.normal(size=n),
                 )
             measured = [*measured, state][-lag - 1 :]
-            tau = loop.step(t, *measured[0])
-            if limits is not None:
-                tau = np.clip(tau, -limits, limits)
+            if not (k and dropout) or random.random() >= dropout:
+                tau = loop.step(t, *measured[0])
+                if limits is not None:
+                    tau = np.clip(tau, -limits, limits)
             if loop.memory is not system.memory:
                 if k:
                     record.switches.append(t)
                 system.memory = loop.memory
             for sample in record.due(t, end):
-                record.add(sample, _runge_kutta(system, t, x, tau, sample - t, substeps) if sample > t else x, tau)
-            x = _runge_kutta(system, t, x, tau, end - t, substeps)
+                record.add(sample, system.advance(t, x, tau, sample - t, substeps) if sample > t else x, tau)
+            x = system.advance(t, x, tau, end - t, substeps)
             _check_speed(system, end, x)
         record.add(duration, x, tau)
     return record.result()
@@ -248,7 +260,11 @@ def _integrate(
         most = int(MOST_STEPS * (1.0 + duration))
         for _ in range(most):
             try:
-                solver = solver or make(system.rhs, t, x, duration, first_step=shorter, **options)
+                if solver is None:
+                    if not np.isfinite(system.rhs(t, x)).all():
+                        # With such a first step the solver would never come to an end.
+                        raise Stop("integration_failed", f"torque or acceleration is not finite at t = {t:.4g} s")
+                    solver = make(system.rhs, t, x, duration, first_step=shorter, **options)
                 message = solver.step()
             except ChartError:
                 # The trial points of a long step may lie where no chart is, though the motion never goes there.
@@ -306,20 +322,6 @@ def _check_speed(system: System, t: float, x: Vector) -> None:
         "diverged",
         f"the joints ran away at t = {t:.4g} s; lower the gains or the control period, or make the path smaller",
     )
-
-
-def _runge_kutta(system: JointSystem, t: float, x: Vector, tau: JointVector, length: float, substeps: int) -> Vector:
-    """State after `length` seconds under a held torque, by the classical method of order 4."""
-    h = length / substeps
-    f = system.derivative
-    for i in range(substeps):
-        s = t + i * h
-        a = f(s, x, tau)
-        b = f(s + 0.5 * h, x + 0.5 * h * a, tau)
-        c = f(s + 0.5 * h, x + 0.5 * h * b, tau)
-        d = f(s + h, x + h * c, tau)
-        x = x + (h / 6.0) * (a + 2.0 * (b + c) + d)
-    return x
 
 
 def _state(plant: Robot, q: VectorLike, dq: VectorLike | None) -> tuple[JointVector, JointVector]:

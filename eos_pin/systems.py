@@ -6,11 +6,12 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
-from eos_pin.arrays import JointVector, Vector, VectorLike
+from eos_pin.arrays import JointVector, Vector, VectorLike, number, readonly, spread
 from eos_pin.atlas import Atlas
 from eos_pin.charts import Inverse
 from eos_pin.controllers import Controller
@@ -36,10 +37,56 @@ class TaskForce:
         return self.task.linearize(q)[1].T @ np.asarray(self.force(t), dtype=float)
 
 
+@dataclass(frozen=True, eq=False)
+class Friction:
+    """Friction in the joints of a plant: −viscous dq − coulomb tanh(dq / speed).
+
+    Attributes:
+        viscous: Viscous friction, one number or (n,) [N m s/rad or N s/m].
+        coulomb: Dry friction of a joint that moves, one number or (n,) [N m or N].
+        speed: Speed at which dry friction is three quarters of its full value; the law is smooth, so a joint creeps
+            where a real one would stick [rad/s or m/s].
+    """
+
+    viscous: VectorLike | float = 0.0
+    coulomb: VectorLike | float = 0.0
+    speed: float = 0.1
+
+    def __post_init__(self) -> None:
+        number(self.speed, "the speed of dry friction", above=0.0)
+        for name in ("viscous", "coulomb"):
+            values = getattr(self, name)
+            values = readonly(spread(values, np.size(values), f"{name} friction"))
+            if not (values >= 0.0).all():
+                raise InputError(f"{name} friction must be at least 0, got {values.tolist()}")
+            object.__setattr__(self, name, values if values.size > 1 else float(values[0]))
+
+    def torque(self, dq: JointVector) -> JointVector:
+        """Torque on the joints at these velocities [N m or N]."""
+        return -np.asarray(self.viscous) * dq - np.asarray(self.coulomb) * np.tanh(dq / self.speed)
+
+    def describe(self) -> dict[str, Any]:
+        """The same in plain values."""
+        viscous, coulomb = (np.asarray(values).tolist() for values in (self.viscous, self.coulomb))
+        return {"viscous": viscous, "coulomb": coulomb, "speed": self.speed}
+
+
+@runtime_checkable
+class SteppingPlant(Protocol):
+    """A robot with an integrator of its own, such as `MujocoPlant`."""
+
+    def advance(
+        self, q: JointVector, dq: JointVector, tau: JointVector, length: float
+    ) -> tuple[JointVector, JointVector]:
+        """Joints and joint velocities after `length` seconds under a held torque."""
+
+
 class System(ABC):
     """Differential equations with a memory that changes only in `switch`. The last state is the work done."""
 
-    def __init__(self, plant: Robot, controller: Controller, task_force: TaskForce | None) -> None:
+    def __init__(
+        self, plant: Robot, controller: Controller, task_force: TaskForce | None, friction: Friction | None = None
+    ) -> None:
         robot = getattr(controller, "robot", plant)
         if robot.n != plant.n:
             raise InputError(f"the controller is for {robot.n} joints, the plant {plant.name!r} has {plant.n}")
@@ -47,7 +94,10 @@ class System(ABC):
             raise InputError(
                 f"the task force is on a robot with {task_force.task.robot.n} joints, the plant has {plant.n}"
             )
-        self.plant, self.controller, self.task_force = plant, controller, task_force
+        if friction is not None:
+            for name in ("viscous", "coulomb"):
+                spread(getattr(friction, name), plant.n, f"{name} friction")
+        self.plant, self.controller, self.task_force, self.friction = plant, controller, task_force, friction
         self.memory: Any = None
 
     @property
@@ -55,10 +105,17 @@ class System(ABC):
         return float(getattr(getattr(self.controller, "reference", None), "period", math.inf))
 
     def accelerate(self, t: float, q: JointVector, dq: JointVector, tau: JointVector) -> tuple[JointVector, float]:
-        """Acceleration of the plant under the torque and the task force, and the power they bring in [W]."""
+        """Acceleration of the plant under all torques that act on it, and the power they bring in [W]."""
+        tau = self.acting(t, q, dq, tau)
+        return self.plant.forward_dynamics(q, dq, tau), tau.dot(dq)
+
+    def acting(self, t: float, q: JointVector, dq: JointVector, tau: JointVector) -> JointVector:
+        """The controller's torque with the task force and friction."""
         if self.task_force is not None:
             tau = tau + self.task_force.torque(t, q)
-        return self.plant.forward_dynamics(q, dq, tau), tau.dot(dq)
+        if self.friction is not None:
+            tau = tau + self.friction.torque(dq)
+        return tau
 
     @abstractmethod
     def begin(self, q: JointVector, dq: JointVector) -> Vector:
@@ -100,6 +157,34 @@ class JointSystem(System):
         dx[:n] = x[n : 2 * n]
         dx[n : 2 * n], dx[-1] = self.accelerate(t, x[:n], x[n : 2 * n], tau)
         return dx
+
+    def advance(self, t: float, x: Vector, tau: JointVector, length: float, substeps: int) -> Vector:
+        """State after `length` seconds under a held torque, in `substeps` steps of the plant."""
+        h = length / substeps
+        for i in range(substeps):
+            x = self._step(t + i * h, x, tau, h)
+        return x
+
+    @cached_property
+    def _step(self) -> Callable[[float, Vector, JointVector, float], Vector]:
+        return self._own_step if isinstance(self.plant, SteppingPlant) else self._runge_kutta
+
+    def _runge_kutta(self, t: float, x: Vector, tau: JointVector, h: float) -> Vector:
+        """One step of the classical method of order 4."""
+        f = self.derivative
+        a = f(t, x, tau)
+        b = f(t + 0.5 * h, x + 0.5 * h * a, tau)
+        c = f(t + 0.5 * h, x + 0.5 * h * b, tau)
+        d = f(t + h, x + h * c, tau)
+        return x + (h / 6.0) * (a + 2.0 * (b + c) + d)
+
+    def _own_step(self, t: float, x: Vector, tau: JointVector, h: float) -> Vector:
+        """One step of the plant's own integrator, which holds task force and friction, too."""
+        q, dq = self.joints(x)
+        tau = self.acting(t, q, dq, tau)
+        q_next, dq_next = cast(SteppingPlant, self.plant).advance(q, dq, tau, h)
+        # The torque is constant, so its work needs no integral.
+        return np.concatenate((q_next, dq_next, [x[-1] + tau.dot(q_next - q)]))
 
     def joints(self, x: Vector) -> tuple[JointVector, JointVector]:
         n = self.plant.n

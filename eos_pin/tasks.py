@@ -99,15 +99,19 @@ class Task(ABC):
     def linearize(self, q: JointVector) -> tuple[Point, Jacobian]:
         """Task point z and Jacobian J = G'(q), (m, n); Eq. (2)."""
         pin.computeJointJacobians(self._model, self._data, q)
-        return self._z(self._data), self._J(self._data)
+        return self._z(self._data), self._matrix(self._J(self._data))
 
     def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
         """Task point, Jacobian, velocity and drift at the state (q, dq)."""
         data = self._data
         pin.forwardKinematics(self._model, data, q, dq, self._rest)
         pin.computeJointJacobians(self._model, data)
-        J = self._J(data)
+        J = self._matrix(self._J(data))
         return TaskPoint(self._z(data), J, J.dot(dq), self._drift(data))
+
+    def _matrix(self, J: Array) -> Jacobian:
+        """J itself; with one joint, Pinocchio's bindings make a vector of what should be a column."""
+        return J if J.ndim == 2 else J[:, None]
 
     @abstractmethod
     def _z(self, data: pin.Data) -> Point:

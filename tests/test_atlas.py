@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import checks
 import numpy as np
 import pytest
@@ -35,7 +37,7 @@ def check(atlas, path):
         # A chart that a point was found on may also be the one it was left for, right there.
         np.testing.assert_allclose(path.charts[number].v(q), v, atol=100 * EXACT)
     assert (np.diff(path.chart) >= 0).all()
-    for old, new in zip(path.charts, path.charts[1:], strict=False):
+    for old, new in pairwise(path.charts):
         np.testing.assert_allclose(new.v_bar, old.v(new.q_bar), atol=100 * EXACT)
         assert np.linalg.norm(new.V - old.V) <= np.linalg.norm(Chart.at(atlas.task, new.q_bar).V - old.V) + 1e-9
     for array in (path.q, path.z, path.v, path.chart):
@@ -101,7 +103,7 @@ def test_through_several_charts_the_joints_move_continuously(ppr):
 def test_a_path_across_the_workspace(panda, position, threshold):
     start = position.value(HOME)
     corners = [start, [0.1, 0.5, 0.5], [-0.4, 0.2, 0.6], [0.1, -0.5, 0.3], start]
-    points = np.concatenate([np.linspace(a, b, 40) for a, b in zip(corners, corners[1:], strict=False)])
+    points = np.concatenate([np.linspace(a, b, 40) for a, b in pairwise(corners)])
     atlas = Atlas(position, threshold=threshold)
     path = atlas.follow(HOME, points)
     check(atlas, path)

@@ -36,6 +36,11 @@ def near(data, chart, distance=0.3, margin=0.3):
     return q
 
 
+def room(chart):
+    """A chart is as large as the smallest singular value of G' allows."""
+    return min(1.0, np.linalg.svd(chart.U, compute_uv=False)[-1])
+
+
 # -- identities ------------------------------------------------------------------------------------------------------
 
 
@@ -118,9 +123,7 @@ def test_joints_follow_v_and_z_as_h_says(task):
     H = chart.point(q, np.zeros(chart.n)).H
     for k, unit in enumerate(np.eye(chart.n)):
         dz, dv = step * unit[: chart.m], step * unit[chart.m :]
-        ahead, behind = (
-            chart.inverse(task.plus(z, s * dz), v + s * dv, start=here, tol=1e-13).q for s in (1.0, -1.0)
-        )
+        ahead, behind = (chart.inverse(task.plus(z, s * dz), v + s * dv, start=here, tol=1e-13).q for s in (1.0, -1.0))
         slope = (ahead - behind) / (2 * step)
         np.testing.assert_allclose(slope, H[:, k], atol=1e-6 * max(1.0, np.abs(H).max() ** 3))
 
@@ -140,7 +143,7 @@ def _regular_state(task, seed=0):
 def test_b_by_iteration_is_b_by_solve(task, data):
     """Eq. (21), started from the value at a point nearby."""
     chart = Chart.at(task, regular(data, task))
-    J = task.linearize(near(data, chart, distance=0.02))[1]
+    J = task.linearize(near(data, chart, distance=0.1 * room(chart)))[1]
     B = chart.B(J)
     condition = np.linalg.cond(J @ chart.U)
     assume(np.abs(J @ chart.U @ chart.B_bar - np.eye(chart.m)).sum() < 0.9)  # where the iteration contracts
@@ -160,7 +163,8 @@ def test_b_has_quadratic_convergence(panda):
     chart = Chart.at(every_task(panda)["position xyz"], checks.random_state(panda)[0])
     GU, B, residuals = chart.U.T @ chart.U, 0.9 * chart.B_bar, []
     for tol in (0.2, 0.02, 2e-4, 2e-8):
-        residuals.append(np.linalg.norm(GU @ chart.B(chart.U.T, B, tol=tol) - np.eye(chart.m), 2))
+        B = chart.B(chart.U.T, B, tol=tol)
+        residuals.append(np.linalg.norm(GU @ B - np.eye(chart.m), 2))
     np.testing.assert_allclose(residuals, [1e-1, 1e-2, 1e-4, 1e-8], rtol=1e-6)
 
 
@@ -172,9 +176,7 @@ def test_b_has_quadratic_convergence(panda):
 def test_h_recovers_the_joints(task, data):
     """Eq. (13): on its chart a configuration is the one that has its (z, v)."""
     chart = Chart.at(task, regular(data, task))
-    # The chart is as large as the smallest singular value of G' allows.
-    room = min(1.0, np.linalg.svd(chart.U, compute_uv=False)[-1])
-    q = near(data, chart, distance=0.1 * room, margin=0.8)
+    q = near(data, chart, distance=0.1 * room(chart), margin=0.8)
     z, v = task.value(q), chart.v(q)
     found = chart.inverse(z, v)
     tolerance = 2 * SOLVED * np.linalg.norm(np.linalg.inv(np.vstack((task.linearize(q)[1], chart.V.T))), 2)
@@ -215,7 +217,7 @@ def test_a_warm_start_needs_few_steps(task):
     ("name", "size"), [("position xyz", 0.15), ("pose", 0.15), ("orientation", 0.5), ("com xyz", 0.05)]
 )
 def test_a_long_step_finds_the_connected_solution(panda, name, size):
-    """What one call finds is what fifty small steps along the straight line in (z, v) lead to, and nothing is missed."""
+    """What one call finds is what fifty small steps along the straight line in (z, v) lead to; none is missed."""
     task, random = every_task(panda)[name], np.random.default_rng(7)
     found = 0
     for seed in range(12):

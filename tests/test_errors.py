@@ -16,11 +16,7 @@ EXAMPLES = [
     UnknownNameError("frame", "tip0", ["tip", "base"], "Try harder."),
     InverseError("out of reach", 0.25, 17),
     SingularError("rank 2 of 3", 2, [1.0, 0.5, 1e-17]),
-    *(
-        kind("something was wrong")
-        for kind in CLASSES
-        if kind not in (UnknownNameError, InverseError, SingularError)
-    ),
+    *(kind("something was wrong") for kind in CLASSES if kind not in (UnknownNameError, InverseError, SingularError)),
 ]
 
 

@@ -9,6 +9,7 @@ import math
 import pickle
 import zipfile
 
+import jaxtyping
 import numpy as np
 import pytest
 from checks import tip
@@ -51,6 +52,14 @@ def closed_loop(panda, kind="position"):
 
 @pytest.fixture(scope="module")
 def runs(panda):
+    """One run of each kind; `unchecked` serves a single test, so the type checks are switched off here once more."""
+    before = jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield make_runs(panda)
+    jaxtyping.config.update("jaxtyping_disable", before)
+
+
+def make_runs(panda):
     """One run of each kind."""
     task, controller = closed_loop(panda)
     pose, pose_controller = closed_loop(panda, "pose")

@@ -179,6 +179,15 @@ def test_local_rate_is_the_rate_of_the_local_coordinates(task, data):
     np.testing.assert_allclose((moved[0] - moved[1]) / (2 * STEP), dz, atol=DIFFERENCED * size_of(rate) ** 3)
 
 
+@groups
+@given(data=st.data())
+def test_local_coordinates_end_at_half_a_turn(task, data):
+    delta = data.draw(checks.tangents(task, 3.0))
+    turns = task.size > task.m
+    angle = np.linalg.norm(delta[task.labels.index("rx") :][:3]) if turns else 0.0
+    assert task.local_margin(delta) == pytest.approx(1.0 - angle / np.pi)
+
+
 def test_headings_differ_by_the_shorter_way(chain):
     task = HeadingTask(chain, "tip")
     np.testing.assert_allclose(task.minus(np.array([3.0]), np.array([-3.0])), 6.0 - 2 * np.pi)
