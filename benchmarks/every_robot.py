@@ -145,7 +145,7 @@ def every_robot(
     if unknown := [name for name in robots if name not in known]:
         raise InputError(f"no robot is named {', '.join(unknown)}; `eos-pin robots` lists all")
     planned = [row for name in robots or known for row in _chosen(rows_of(known[name]), quick)]
-    jobs = [row for row in planned if not row.result == "refused"]
+    jobs = [row for row in planned if row.result != "refused"]
     done: dict[tuple[str, str, str], Row] = {}
     with Progress(console=stderr, transient=True) as progress:
         bar = progress.add_task("every robot", total=len(jobs))

@@ -84,7 +84,7 @@ class Atlas:
     def __post_init__(self) -> None:
         number(self.threshold, "the chart threshold", above=0.0)
         if self.threshold >= 1.0:
-            raise InputError(f"the chart threshold must be below 1, got {self.threshold}: every chart would end at once")
+            raise InputError(f"the chart threshold must be below 1, where charts end at once; got {self.threshold}")
 
     def start(self, q: VectorLike) -> Chart:
         """First chart, based at q with v = 0."""

@@ -241,7 +241,7 @@ class Chart:
         if self.n <= DENSE_SOLVE:
             A, b = self._stacked.copy(order="F"), np.concatenate((task, self_motion))
             A[: self.m] = J
-            LU, _, ddq, info = lapack.dgesv(A, b, 0, 1)
+            LU, _, ddq, info = lapack.dgesv(A, b)
             if dq is not None and self._may_fade(LU):
                 return fading_solve(self._weights[:, None] * A, self._weights * b, dq)
         else:
@@ -257,7 +257,7 @@ class Chart:
         return ddq
 
     def _may_fade(self, LU: Array) -> bool:
-        """Whether a factored matrix may have a direction that fades: its least pivot is near its least singular value."""
+        """Whether a factored matrix may have a direction that fades; its least pivot is near its singular value."""
         return min(map(abs, LU.diagonal().tolist())) < 4.0 * FADING * max(1.0, self.task.robot.reach)
 
     @cached_property

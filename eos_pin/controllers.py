@@ -2,8 +2,8 @@
 
 A controller is a value. What it must remember between calls (the chart it is on) is an explicit memory, so that a
 driver may evaluate `torque` at trial times and states, as an ODE solver does, without changing anything; only
-`update`, called once where a step has been accepted, may move on to the next chart. For a loop of your own, `ControlLoop`
-keeps the memory.
+`update`, called once where a step has been accepted, may move on to the next chart. For a loop of your own,
+`eos_pin.ControlLoop` keeps the memory.
 """
 
 from __future__ import annotations

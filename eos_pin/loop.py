@@ -94,8 +94,8 @@ class ControlLoop:
         else:
             if not t >= last[0]:
                 raise StateError(
-                    f"no torque at this time: t = {t!r} comes after {last[0]!r} s. Use a monotonic clock, or reset() the "
-                    "loop to start a new run"
+                    f"no torque at this time: t = {t!r} comes after {last[0]!r} s. Use a monotonic clock, or reset() "
+                    "the loop to start a new run"
                 )
             moved = q - last[1]
             # The length of the move bounds each joint's, so the usual case is one product.
@@ -105,7 +105,7 @@ class ControlLoop:
                 if abs(moved[joint]) > allowed[joint]:
                     self._last = (t, q.copy(), dq.copy())
                     raise StateError(
-                        f"no torque for this state: q[{joint}] jumped by {moved[joint]:.3g} in {t - last[0]:.3g} s, more than "
-                        f"{allowed[joint]:.3g}. If the next state agrees with this one, the loop goes on from there"
+                        f"no torque for this state: q[{joint}] jumped by {moved[joint]:.3g} in {t - last[0]:.3g} s, "
+                        f"more than {allowed[joint]:.3g}. If the next state agrees with this one, the loop goes on from there"
                     )
         self._last = (t, q.copy(), dq.copy())

@@ -187,8 +187,8 @@ def _free_axes(robot: Robot, point: Callable[[str], Task], frame: str) -> str:
         if best[axes] >= CLEAR:
             return "".join("xyz"[i] for i in axes)
     raise InputError(
-        f"frame {frame!r} of {robot.name!r} stays where it is when the joints move, or nearly so; choose another frame, "
-        "or a task that counts its orientation"
+        f"frame {frame!r} of {robot.name!r} stays where it is when the joints move, or nearly so; choose another frame "
+        "or, if it turns, a task of orientation"
     )
 
 

@@ -143,7 +143,8 @@ class Recorder:
         if not (run.ok and lost.any()):
             return run
         why = "to keep the limits" if isinstance(controller, LimitedEosController) else "near a singularity of the task"
-        message = f"part of the task was given up for {run.given_up_seconds:.3g} s, first at t = {run.t[lost][0]:.4g} s, {why}"
+        when = f"for {run.given_up_seconds:.3g} s, first at t = {run.t[lost][0]:.4g} s"
+        message = f"part of the task was given up {when}, {why}"
         # While the controller settles that is to be expected; later the run has not done what it was to do.
         return replace(run, status="degraded" if lost[run.settled_row :].any() else run.status, message=message)
 

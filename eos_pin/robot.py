@@ -175,7 +175,7 @@ class Robot:
 
     @cached_property
     def reach(self) -> float:
-        """Length from joint to joint to the last frame [m]: an upper bound for how far it gets; 1 without any extent."""
+        """Length from joint to joint to the last frame [m]: an upper bound for how far it gets; 1 without extent."""
         model, end = self.model, self.options.get("chain_to")
         steps = [np.linalg.norm(placement.translation) for placement in list(model.jointPlacements)[2:]]
         # Beyond the end of a chain there may be a whole robot that is locked.

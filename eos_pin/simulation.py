@@ -320,7 +320,8 @@ def _check_speed(system: System, t: float, x: Vector) -> None:
             )
     raise Stop(
         "diverged",
-        f"the joints ran away at t = {t:.4g} s; lower the gains or the control period, or make the path smaller",
+        f"the joints ran away at t = {t:.4g} s; lower the gains or the control period, make the path smaller, or use "
+        "LimitedEosController",
     )
 
 

@@ -86,7 +86,7 @@ class Task(ABC):
         self._rest = np.zeros(robot.n)
         if self.m > robot.n:
             raise InputError(
-                f"{self!r} has {self.m} coordinates, but {robot.name!r} has only {robot.n} joints; choose a smaller task"
+                f"{self!r} has {self.m} coordinates, but {robot.name!r} only {robot.n} joints; choose a smaller task"
             )
 
     # -- one pass over Pinocchio for each order of derivative -------------------------------------------------------

@@ -229,7 +229,7 @@ def cubic_spline(points: Sequence[VectorLike] | Array, times: VectorLike, *, clo
     Args:
         points: Points of a vector task, (K, m), K ≥ 2.
         times: Increasing times [s], (K,).
-        closed: Whether it repeats; by default if its first and last point are equal. An open one is at rest at its ends.
+        closed: Whether it repeats; by default if its first and last point are equal. An open one rests at its ends.
     """
     from scipy.interpolate import CubicSpline
 
