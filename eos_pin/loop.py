@@ -106,6 +106,6 @@ class ControlLoop:
                     self._last = (t, q.copy(), dq.copy())
                     raise StateError(
                         f"no torque for this state: q[{joint}] jumped by {moved[joint]:.3g} in {t - last[0]:.3g} s, "
-                        f"more than {allowed[joint]:.3g}. If the next state agrees with this one, the loop goes on from there"
+                        f"more than {allowed[joint]:.3g}. If the next state agrees with this one, the loop goes on"
                     )
         self._last = (t, q.copy(), dq.copy())

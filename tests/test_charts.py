@@ -135,6 +135,26 @@ def _regular_state(task, seed=0):
     return next(q for q in trials if np.linalg.cond(task.linearize(q)[1]) < 30)
 
 
+@given(seed=seeds)
+def test_random_robots_have_charts(seed):
+    """5 to 12 joints, prismatic and revolute mixed, with random axes, offsets and inertias."""
+    robot = checks.random_chain(seed)
+    q, dq = checks.random_state(robot, seed)
+    for task in every_task(robot).values():
+        J = task.linearize(q)[1]
+        if np.linalg.cond(J) > WORST:
+            continue
+        chart = Chart.at(task, q)
+        moved = q + 0.1 * room(chart) * dq
+        point = chart.point(moved, dq)
+        np.testing.assert_allclose(J, checks.numeric_jacobian(task, q), atol=checks.DIFFERENCED)
+        tolerance = exact(point.H, scale=np.abs(J).max())
+        np.testing.assert_allclose(point.H @ point.H_inverse, np.eye(robot.n), atol=tolerance)
+        np.testing.assert_allclose(point.H @ point.dw, dq, atol=tolerance)
+        found = chart.inverse(task.value(moved), chart.v(moved))
+        np.testing.assert_allclose(found.q, moved, atol=2 * SOLVED * np.linalg.norm(point.H, 2) * task.m)
+
+
 # -- B ---------------------------------------------------------------------------------------------------------------
 
 

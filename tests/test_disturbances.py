@@ -61,7 +61,6 @@ def test_the_last_torque_stays_where_a_period_is_missed(panda):
     acted = (run.tau - clock.hold)[:-1, 0]
     newest = [max(s for s in clock.times if s <= t + 1e-9) for t in run.t[:-1]]
     # A sample at the end of a period has the torque of that period.
-    assert np.abs(acted[1:] - newest[1:]).max() > 0.0
     before = np.array([newest[0], *newest[:-1]])
     assert np.minimum(np.abs(acted - newest), np.abs(acted - before)).max() < 1e-12
 
@@ -106,11 +105,10 @@ def test_the_law_of_friction():
 def test_viscous_friction_alone_is_an_exponential(ppr):
     # A slider with nothing else on it: M ddq = −c dq, a closed form.
     slider = ppr.with_gravity(0.0)
-    q, dq = np.zeros(3), np.array([0.0, 1.0, 0.0])
+    # The link points along y, so nothing turns it.
+    q, dq = np.array([0.0, 0.0, 0.5 * np.pi]), np.array([0.0, 1.0, 0.0])
     law = Friction(viscous=[0.0, 2.0, 0.0])
-    lock = OpenLoop(lambda t: np.zeros(3))
-    q = np.array([0.0, 0.0, 0.5 * np.pi])  # the link points along y, so it is not turned
-    run = simulate_sampled(slider, lock, q, dq, duration=1.0, friction=law)
+    run = simulate_sampled(slider, OpenLoop(lambda t: np.zeros(3)), q, dq, duration=1.0, friction=law)
     mass = slider.mass(q)[1, 1]
     np.testing.assert_allclose(run.dq[:, 1], np.exp(-2.0 * run.t / mass), atol=1e-9)
 

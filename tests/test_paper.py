@@ -142,9 +142,9 @@ def test_the_chain_is_the_one_of_section_6_with_gravity_along_minus_y():
 def test_the_chain_starts_as_a_closed_octagon_on_its_path():
     task, path, q, _ = paper.planar_chain()
     assert np.abs(task.value(q) - path(0.0).z).max() < 20 * EXACT
-    # The eight entries that are printed are too few; as joints 3 to 10, two sliders short, they are no octagon.
+    # The eight entries that are printed leave two joints out; those at the front straight, it is no octagon.
     printed = np.concatenate((np.zeros(2), -0.25 * np.pi * np.array([0, 0, 1, 1, 1, 1, 1, 1])))
-    assert np.abs(task.value(printed) - path(0.0).z).max() > 1.0
+    assert np.abs(task.value(printed) - path(0.0).z).max() > 0.5
 
 
 # -- what the examples show ------------------------------------------------------------------------------------------
@@ -326,6 +326,9 @@ def test_the_obstacle_potential_has_the_gradient_of_equation_40():
     law = paper.obstacle(offset=4.0).experiments["eos"].controller.self_motion
     assert isinstance(law, DescendPotential)
     q, step = np.array([0.3, -0.4, 0.5]), 1e-6
-    U = lambda y: 0.5 / (4.0 + y[1]) ** 2
-    numeric = [(U(q + step * e) - U(q - step * e)) / (2.0 * step) for e in np.eye(3)]
+
+    def potential(y):
+        return 0.5 / (4.0 + y[1]) ** 2
+
+    numeric = [(potential(q + step * e) - potential(q - step * e)) / (2.0 * step) for e in np.eye(3)]
     assert np.abs(law.gradient(q) - numeric).max() < 1e-9

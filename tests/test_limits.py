@@ -1,0 +1,130 @@
+"""Limits: kept always, at the price of the self-motion first and of the task last."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eos_pin import (
+    EosController,
+    Geodesic,
+    InputError,
+    JointLimits,
+    LimitedEosController,
+    PoseTask,
+    PositionTask,
+    Posture,
+    Robot,
+    figure_eight,
+    simulate_sampled,
+)
+from eos_pin.limits import sure_braking
+
+REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
+TCP = "panda_hand_tcp"
+PERIOD = 1e-3
+
+
+@pytest.fixture(scope="module")
+def task(panda: Robot) -> PositionTask:
+    return PositionTask(panda, TCP)
+
+
+@pytest.fixture(scope="module")
+def limits(panda: Robot) -> JointLimits:
+    return JointLimits.of(panda)
+
+
+def over(robot: Robot, q: np.ndarray) -> float:
+    """Farthest beyond a position limit [rad]."""
+    return float(np.maximum(q - robot.upper, robot.lower - q).max())
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_without_active_limits_the_torque_is_that_of_plain_eos(panda, task, limits, seed):
+    random = np.random.default_rng(seed)
+    path = figure_eight(task.value(REST), 0.1, period=4.0, plane="yz")
+    plain, limited = EosController(task, path), LimitedEosController(task, path, limits=limits)
+    q, dq = REST + 0.05 * random.normal(size=7), 0.05 * random.normal(size=7)
+    memory = plain.start(0.0, REST, 0.0 * REST)
+    tau = plain.torque(0.3, q, dq, memory)
+    if (np.abs(tau) < panda.effort).all():
+        assert np.array_equal(limited.torque(0.3, q, dq, memory), tau)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 1e-2]))
+def test_whatever_is_chosen_within_the_bounds_no_limit_is_passed(limits, seed, period):
+    """A joint driven by the worst choices, to one bound and the other, stays viable for ever."""
+    random = np.random.default_rng(seed)
+    q, dq = 0.9 * limits.lower + 0.1 * limits.upper, np.zeros(7)
+    towards = random.integers(0, 2, 7)
+    for _ in range(400):
+        least, most = limits.accelerations(q, dq, period)
+        assert (least <= most).all()
+        if random.random() < 0.02:
+            towards = random.integers(0, 2, 7)
+        ddq = np.clip(np.where(towards, most, least), -40.0, 40.0)
+        ddq = np.clip(ddq, least, most)
+        q, dq = q + period * dq + 0.5 * period**2 * ddq, dq + period * ddq
+        assert (limits.lower - 1e-9 <= q).all()
+        assert (q <= limits.upper + 1e-9).all()
+        assert (np.abs(dq) <= limits.velocity + 1e-9).all()
+        # It is always enough to brake with the deceleration that is sure.
+        assert (least <= limits.braking + 1e-6).all()
+        assert (most >= -limits.braking - 1e-6).all()
+
+
+def test_the_self_motion_gives_way_first(panda: Robot, task: PositionTask) -> None:
+    path = figure_eight(task.value(REST), 0.1, period=4.0, plane="yz")
+    # A posture beyond the limit of joint 3 draws the self-motion into it.
+    posture = REST.copy()
+    posture[2] = 4.0
+    plain = simulate_sampled(panda, EosController(task, path, Posture(posture, kp=20.0, kd=9.0)), REST, duration=6.0)
+    kept = simulate_sampled(
+        panda, LimitedEosController(task, path, Posture(posture, kp=20.0, kd=9.0)), REST, duration=6.0
+    )
+    if over(panda, plain.q) > 0.0:
+        assert not np.allclose(plain.q[-1], kept.q[-1])
+    assert over(panda, kept.q) <= 1e-6
+    assert (np.abs(kept.tau) <= panda.effort).all()
+    assert np.abs(kept.error[kept.settled_row :]).max() < 1e-3
+
+
+@pytest.mark.parametrize("kind", [PositionTask, PoseTask])
+def test_a_target_out_of_reach_is_given_up_within_all_limits(panda: Robot, kind: type) -> None:
+    task = kind(panda, TCP)
+    z = task.value(REST)
+    away = task.plus(z, np.eye(task.m)[0])
+    path = Geodesic(task, [z, away, z], [0.0, 3.0, 6.0])
+    run = simulate_sampled(panda, LimitedEosController(task, path), REST, duration=8.0)
+    assert run.status == "degraded"
+    assert "to keep the limits" in run.message
+    assert run.summary()["given_up_seconds"] > 1.0
+    assert np.isfinite(run.tau).all()
+    assert (np.abs(run.tau) <= panda.effort).all()
+    assert over(panda, run.q) <= 1e-6
+    assert (np.abs(run.dq) <= panda.velocity * 1.001).all()
+    # It comes back to its task.
+    assert np.abs(run.error[-1]).max() < 1e-3
+
+
+def test_sure_braking_is_held_by_the_torque_limits(panda: Robot) -> None:
+    random = np.random.default_rng(5)
+    a = sure_braking(panda, panda.effort)
+    for _ in range(50):
+        q = random.uniform(panda.lower, panda.upper)
+        tau = panda.inverse_dynamics(q, np.zeros(7), random.choice([-1.0, 1.0], 7) * a)
+        assert (np.abs(tau) <= panda.effort * 1.05).all()
+
+
+def test_bad_limits_are_refused(panda: Robot, task: PositionTask) -> None:
+    with pytest.raises(InputError, match="no room"):
+        JointLimits.of(panda, margin=2.0)
+    with pytest.raises(InputError, match="positive"):
+        JointLimits.of(panda, velocity=0.0)
+    with pytest.raises(InputError, match="7 numbers"):
+        JointLimits.of(panda, acceleration=[1.0, 2.0])
+    with pytest.raises(InputError, match="period"):
+        LimitedEosController(task, figure_eight(task.value(REST)), period=0.0)
