@@ -13,18 +13,16 @@ import os
 
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
-import signal
 import sys
-import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
+from confined import captured, time_limit
 from joblib import Parallel, delayed
 from rich.progress import Progress
 
@@ -92,14 +90,14 @@ def rows_of(robot: NamedRobot) -> list[Row]:
 def attempt(row: Row, path: Path, duration: float, limit: float) -> Row:
     """Run one chain in a process of its own, with a time limit, and nothing on its terminal."""
     start = time.perf_counter()
-    with _captured() as said:
+    with captured() as said:
         try:
-            with _time_limit(limit):
+            with time_limit(limit):
                 row = _ran(row, duration)
         except EosError as error:
             row = replace(row, result="refused", reason=_plain(error, path))
-        except TimeoutError:
-            row = replace(row, result="hung", reason=f"not done after {limit:g} s")
+        except TimeoutError as error:
+            row = replace(row, result="hung", reason=str(error))
         except Exception as error:
             row = replace(row, result="crashed", reason=f"{type(error).__name__}: {error}")
     return replace(row, said="".join(said), seconds=time.perf_counter() - start)
@@ -230,42 +228,6 @@ def _keyed(row: Row, path: Path, duration: float, limit: float) -> tuple[tuple[s
 def _plain(error: Exception, path: Path) -> str:
     """Message without the folder that this machine has the file in."""
     return str(error).replace(str(path), path.name)
-
-
-@contextmanager
-def _captured() -> Iterator[list[str]]:
-    """Catch what anybody writes to file descriptors 1 and 2 of this process; the list holds it after."""
-    said: list[str] = []
-    kept = os.dup(1), os.dup(2)
-    with tempfile.TemporaryFile() as file:
-        os.dup2(file.fileno(), 1)
-        os.dup2(file.fileno(), 2)
-        try:
-            yield said
-        finally:
-            sys.stdout.flush()
-            sys.stderr.flush()
-            for descriptor, before in zip((1, 2), kept, strict=True):
-                os.dup2(before, descriptor)
-                os.close(before)
-            file.seek(0)
-            said.append(file.read().decode(errors="replace"))
-
-
-@contextmanager
-def _time_limit(seconds: float) -> Iterator[None]:
-    """Raise `TimeoutError` in the main thread of this process after so long."""
-
-    def stop(*_: object) -> None:
-        raise TimeoutError
-
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
 
 
 if __name__ == "__main__":

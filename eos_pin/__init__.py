@@ -14,7 +14,7 @@ from eos_pin.baselines import (
     PostureNullSpace,
     TaskSpaceController,
 )
-from eos_pin.charts import Chart, ChartPoint, Inverse
+from eos_pin.charts import Chart, ChartPoint
 from eos_pin.clearance import Approach, Clearance, Obstacle
 from eos_pin.controllers import Controller, EosController, OpenLoop
 from eos_pin.dynamics import ExtendedDynamics, TaskSpaceDynamics, pseudoinverse
@@ -36,6 +36,7 @@ from eos_pin.limits import JointLimits, LimitedEosController
 from eos_pin.loading import Payload, Tool, default_frame, leaf_frames, load_robot
 from eos_pin.loop import ControlLoop
 from eos_pin.mujoco_plant import MujocoPlant
+from eos_pin.newton import Inverse
 from eos_pin.objectives import (
     Damp,
     DescendPotential,

@@ -24,8 +24,9 @@ from eos_pin.arrays import (
     readonly,
     vector,
 )
-from eos_pin.charts import Chart, Inverse, walk
+from eos_pin.charts import Chart
 from eos_pin.errors import InputError, InverseError
+from eos_pin.newton import Inverse, walk
 from eos_pin.tasks import Point, Task
 
 #: Self-motion commanded along a path: constant, one row per point, or a function of the point's number.

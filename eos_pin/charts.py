@@ -9,10 +9,9 @@ Sec. 3 follows: B, D, H, E, and the equations of motion built on them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -29,31 +28,14 @@ from eos_pin.arrays import (
     vector,
 )
 from eos_pin.errors import ChartError, InverseError
-from eos_pin.linear import FADING, RANK_TOLERANCE, check_rank, fading_solve, is_odd, null_space
+from eos_pin.linear import FADING, RANK_TOLERANCE, check_rank, fading_solve, null_space
+from eos_pin.newton import Inverse, newton, walk
 from eos_pin.tasks import Point, Task, TaskPoint
 
 #: Up to this many joints one n × n solve is cheaper than the m × m form with its extra products.
 DENSE_SOLVE = 16
 #: What to say there.
 EDGE = "G'U is singular: this configuration is on the edge of the chart; make a chart at it"
-
-
-class Inverse(NamedTuple):
-    """A point of the inverse kinematic map y(z, v), Eq. (13).
-
-    Attributes:
-        q: Joints [rad or m].
-        u: Coordinates h(z, v) along U.
-        B: (G'U)⁻¹ near q, a warm start for the next solve; Eq. (15).
-        iterations: Newton steps that were taken, all intermediate points included.
-        residual: Task error that is left, the largest entry [m, rad].
-    """
-
-    q: JointVector
-    u: TaskVector
-    B: Float[Array, "m m"]
-    iterations: int
-    residual: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,26 +221,24 @@ class Chart:
             ChartError: [G'; Vᵀ] is singular, and dq is not given.
         """
         if self.n <= DENSE_SOLVE:
-            A, b = self._stacked.copy(order="F"), np.concatenate((task, self_motion))
+            A, b, along = self._stacked.copy(order="F"), np.concatenate((task, self_motion)), dq
             A[: self.m] = J
-            LU, _, ddq, info = lapack.dgesv(A, b)
-            if dq is not None and self._may_fade(LU):
-                return fading_solve(self._weights[:, None] * A, self._weights * b, dq)
+            LU, pivots, ddq, info = lapack.dgesv(A, b)
         else:
             lifted = self.V.dot(self_motion)
             A, b = J.dot(self._row_basis), task - J.dot(lifted)
-            LU, _, step, info = lapack.dgesv(A, b)
-            if dq is not None and self._may_fade(LU):
-                weights = self._weights[: self.m]
-                step, info = fading_solve(weights[:, None] * A, weights * b, self._row_basis.T.dot(dq)), 0
-            ddq = lifted + self._row_basis.dot(step)
+            LU, pivots, ddq, info = lapack.dgesv(A, b)
+            along = None if dq is None else self._row_basis.T.dot(dq)
+        if along is not None:
+            weights = self._weights[: len(b)]
+            inverse, singular = lapack.dgetri(LU, pivots)
+            spread = (inverse / weights).ravel("K")
+            # The least singular value is at least 1 / |inverse|, so this is never too late.
+            if info or singular or not spread.dot(spread) < FADING**-2:
+                ddq, info = fading_solve(weights[:, None] * A, weights * b, along), 0
         if info:
             raise ChartError(EDGE)
-        return ddq
-
-    def _may_fade(self, LU: Array) -> bool:
-        """Whether a factored matrix may have a direction that fades; its least pivot is near its singular value."""
-        return min(map(abs, LU.diagonal().tolist())) < 4.0 * FADING * max(1.0, self.task.robot.reach)
+        return ddq if self.n <= DENSE_SOLVE else lifted + self._row_basis.dot(ddq)
 
     @cached_property
     def _weights(self) -> JointVector:
@@ -303,14 +283,14 @@ class Chart:
             InverseError: Not even a short step towards (z, v) converges: the chart ends before. It has the residual.
         """
         start = start or Inverse(self.q_bar, np.zeros(self.m), self.B_bar, 0, 0.0)
-        found = self._newton(z, v, start, refresh, tol, max_iterations)
+        found = self._newton(z, v, start, refresh=refresh, tol=tol, max_iterations=max_iterations)
         if found.residual <= tol:
             return found
         current, iterations = start, found.iterations
 
         def visit(z_next: Point, v_next: SelfMotionVector) -> bool:
             nonlocal current, iterations
-            trial = self._newton(z_next, v_next, current, True, tol, max_iterations)
+            trial = self._newton(z_next, v_next, current, refresh=True, tol=tol, max_iterations=max_iterations)
             iterations += trial.iterations
             if trial.residual > tol:
                 return False
@@ -331,37 +311,8 @@ class Chart:
             )
         return current._replace(iterations=iterations)
 
-    def _newton(
-        self, z: Point, v: SelfMotionVector, start: Inverse, refresh: bool, tol: float, max_iterations: int
-    ) -> Inverse:
-        """Newton's method, Eq. (22); ends early where the residual grows, with whatever it has."""
-        task, U = self.task, self.U
-        base = self.q_bar + self.V.dot(v - self.v_bar)
-        u, B, last = start.u, start.B, math.inf
-        q = base - U.dot(u)
-        for iteration in range(max_iterations + 1):
-            if refresh:
-                z_q, J = task.linearize(q)
-            else:
-                z_q = task.value(q)
-            error = task.minus(z_q, z)
-            residual = max(map(abs, error.tolist()))
-            # A step that leads away has left the neighbourhood of convergence, perhaps the chart. NaN ends here too.
-            if residual <= tol or not residual < last:
-                break
-            last = residual
-            if refresh:
-                LU, pivots, B, info = lapack.dgesv(J.dot(U), self._identity)
-                if info or is_odd(LU, pivots):
-                    # det G'U > 0 at the base point, so it is positive on all of the chart.
-                    return Inverse(q, u, start.B, iteration, math.inf)
-            u = u + B.dot(error)
-            q = base - U.dot(u)
-        return Inverse(q, u, B, iteration, residual if residual == residual else math.inf)
-
-    @cached_property
-    def _identity(self) -> Float[Array, "m m"]:
-        return np.eye(self.m, order="F")
+    def _newton(self, z: Point, v: SelfMotionVector, start: Inverse, **settings: Any) -> Inverse:
+        return newton(self.task, self.q_bar + self.V.dot(v - self.v_bar), self.U, z, start, **settings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -420,40 +371,3 @@ class ChartPoint:
     def E(self) -> JointVector:
         """−U B Ġ' dq, with ddq = H ddw + E; Eq. (20)."""
         return -self.chart.U @ (self.B @ self.task.drift)
-
-
-def walk(
-    task: Task,
-    start: tuple[Point, SelfMotionVector],
-    goal: tuple[Point, SelfMotionVector],
-    visit: Callable[[Point, SelfMotionVector], bool],
-    *,
-    first: float = 0.5,
-    shortest: float = 1e-3,
-) -> float:
-    """Visit points along the straight line in (z, v) from `start` to `goal`, with steps as long as succeed.
-
-    Args:
-        task: Task whose group defines the straight line of z.
-        start: Known point.
-        goal: Point to reach.
-        visit: Tries a point and says whether it was reached.
-        first: Length of the first step, as a fraction of the way.
-        shortest: Fraction of the way below which a failing step ends the walk.
-
-    Returns:
-        The fraction of the way that was reached, 1.0 if all of it.
-    """
-    (z0, v0), (z1, v1) = start, goal
-    delta = task.minus(z1, z0)
-    reached, step = 0.0, first
-    while reached < 1.0:
-        if step < shortest:
-            return reached
-        ahead = min(1.0, reached + step)
-        z, v = (z1, v1) if ahead == 1.0 else (task.plus(z0, ahead * delta), v0 + ahead * (v1 - v0))
-        if visit(z, v):
-            reached, step = ahead, 2.0 * step
-        else:
-            step *= 0.5
-    return reached

@@ -53,26 +53,28 @@ def rest_posture(task: Task) -> JointVector:
     """
     robot = task.robot
     zero = np.clip(np.zeros(robot.n), robot.lower, robot.upper)
-    found = [_climb(task, zero)]
+    # What hangs down at the zero posture is a leg, or hangs from the ceiling, and may go on to.
+    merit = partial(_merit, task, floor=float(_heights(robot, zero).min()))
+    found = [_climb(robot, zero, merit)]
     if _least(task, found[0]) < CLEAR:
         # The zero posture was a bad place to start from.
-        found += [_climb(task, q) for q in _postures(robot, SAMPLES // 2)]
-    return readonly(max(found, key=lambda q: _merit(task, q)))
+        found += [_climb(robot, q, merit) for q in _postures(robot, SAMPLES // 2)]
+    return readonly(max(found, key=merit))
 
 
-def _climb(task: Task, q: JointVector) -> JointVector:
+def _climb(robot: Robot, q: JointVector, merit: Callable[[JointVector], float]) -> JointVector:
     """Turn joint after joint to where the merit of the posture is largest."""
-    choices = [_choices(task.robot, i) for i in range(q.size)]
-    best = _merit(task, q)
+    choices = [_choices(robot, i) for i in range(robot.n)]
+    best = merit(q)
     for _ in range(20):
         before = best
-        for i in range(q.size):
+        for i in range(robot.n):
             for value in choices[i]:
                 trial = q.copy()
                 trial[i] = value
-                merit = _merit(task, trial)
-                if merit > best + 1e-9:
-                    best, q = merit, trial
+                gain = merit(trial)
+                if gain > best + 1e-9:
+                    best, q = gain, trial
         if best == before:
             break
     return q
@@ -112,6 +114,12 @@ def fitting_path(
     free = _lengths(task)
     if not free:
         raise InputError(f"{task!r} has no coordinates of length to draw a path in; use the shape 'hold'")
+    if _least(task, q) < PASSABLE and (size is None or plane is None):
+        raise InputError(
+            f"no path is clear of singularities at this posture: some direction of {task!r} moves by less than "
+            f"{PASSABLE:.1%} of the robot's reach, or of a radian, when a joint turns by one. Count fewer axes, take "
+            "another frame, or start elsewhere"
+        )
     sizes = [number(size, "the size of the path", above=0.0)] if size is not None else _sizes(task.robot)
     periods = PERIODS if period is None else (number(period, "the period", above=0.0),)
     failures, slow = [], None
@@ -239,26 +247,31 @@ def _choices(robot: Robot, i: int) -> Sequence[float]:
     return sorted(values.tolist(), key=abs)
 
 
-def _merit(task: Task, q: JointVector) -> float:
-    """How good a posture is to start from."""
+def _merit(task: Task, q: JointVector, floor: float) -> float:
+    """How good a posture is to start from, with no joint below the floor [m]."""
     robot = task.robot
     sigma = _sigma(task, q)
     # Far enough from singular is enough: nobody gains from the last bit.
-    merit = float(np.log(np.minimum(sigma / sigma[0], 0.35) + 0.02).sum())
+    merit = float(np.log(np.minimum(sigma / max(sigma[0], STUCK), 0.35) + 0.02).sum())
+    merit -= 5.0 * max(0.0, 1.0 - float(sigma[-1]) / CLEAR)
     # Room to the limits, where there are limits: nothing in the middle half of the range, steep at its ends.
     span = robot.upper - robot.lower
     bounded = np.isfinite(span)
     if bounded.any():
         off = np.abs(q[bounded] - robot.lower[bounded] - 0.5 * span[bounded]) / np.maximum(span[bounded], 1e-9)
-        merit -= 8.0 * float(np.maximum(off - 0.25, 0.0).sum())
+        merit -= 8.0 * float(np.maximum(off - 0.25, 0.0).sum()) + 50.0 * float(np.maximum(off - 0.4, 0.0).sum())
     merit -= 0.05 * float(np.abs(q).sum())
-    # An arm that stands on the floor should stay above it, if gravity says which way is down.
+    # An arm that stands on the floor should stay above it.
+    return merit - 5.0 * max(0.0, floor - float(_heights(robot, q).min())) / robot.reach
+
+
+def _heights(robot: Robot, q: JointVector) -> Array:
+    """Heights of the joints against gravity [m]; zeros where gravity does not say which way is down."""
     down = robot.model.gravity.linear
-    if abs(down[2]) > 0.9 * np.linalg.norm(down) > 0.0:
-        pin.forwardKinematics(robot.model, robot._data, q)
-        heights = [-math.copysign(1.0, down[2]) * float(p.translation[2]) for p in list(robot._data.oMi)[1:]]
-        merit -= 5.0 * max(0.0, heights[0] - min(heights)) / robot.reach
-    return merit
+    if not abs(down[2]) > 0.9 * np.linalg.norm(down) > 0.0:
+        return np.zeros(1)
+    pin.forwardKinematics(robot.model, robot._data, q)
+    return np.array([-math.copysign(1.0, down[2]) * float(p.translation[2]) for p in list(robot._data.oMi)[1:]])
 
 
 def _lengths(task: Task) -> list[str]:

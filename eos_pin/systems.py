@@ -13,9 +13,9 @@ import numpy as np
 
 from eos_pin.arrays import JointVector, Vector, VectorLike, number, readonly, spread
 from eos_pin.atlas import Atlas
-from eos_pin.charts import Inverse
 from eos_pin.controllers import Controller
 from eos_pin.errors import InputError
+from eos_pin.newton import Inverse
 from eos_pin.robot import Robot
 from eos_pin.tasks import Task
 

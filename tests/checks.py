@@ -116,7 +116,7 @@ def tip(robot):
 
 
 def every_task(robot):
-    """One task of each kind that the robot can do, by name; for a robot of six joints or more at least seven."""
+    """One task of each kind that the robot can do, by name."""
     end, middle = tip(robot), _middle(robot)
     if is_planar(robot):
         tasks = {
@@ -136,10 +136,11 @@ def every_task(robot):
             "position z": eos_pin.PositionTask(robot, end, "z"),
             "relative xyz": eos_pin.RelativePositionTask(robot, end, middle),
             "orientation": eos_pin.OrientationTask(robot, end),
-            "pose": eos_pin.PoseTask(robot, end),
             "com xyz": eos_pin.ComTask(robot),
         }
         stacked = {"orientation+z": ["orientation", "position z"]}
+        if robot.n >= 6:
+            tasks["pose"] = eos_pin.PoseTask(robot, end)
         if robot.n > 6:
             stacked["position+com"] = ["position xyz", "com xyz"]
     tasks |= {name: eos_pin.StackedTask([tasks[part] for part in parts]) for name, parts in stacked.items()}

@@ -508,6 +508,48 @@ def test_is_odd_is_the_sign_of_the_determinant(size, seed):
     assert linear.is_odd(LU, pivots) == (np.linalg.det(A) < 0.0)
 
 
+@given(size=st.integers(1, 8), seed=seeds)
+def test_fading_solve_is_a_solve_where_nothing_fades(size, seed):
+    random = np.random.default_rng(seed)
+    X, Y = (np.linalg.qr(random.normal(size=(size, size)))[0] for _ in range(2))
+    values = random.uniform(1.001 * linear.FADING, 2.0, size)
+    A, b, dq = (X * values) @ Y, random.normal(size=size), random.normal(size=size) / size
+    np.testing.assert_allclose(linear.fading_solve(A, b, dq), np.linalg.solve(A, b), atol=1e3 * exact(A))
+
+
+@given(size=st.integers(1, 8), seed=seeds, fraction=st.floats(0.0, 0.999), speed=st.floats(-30.0, 30.0))
+def test_what_fades_is_bounded_and_braked(size, seed, fraction, speed):
+    """The last direction, with singular value s below its threshold ε: s/ε² of what is asked, 1 − s²/ε² of braking."""
+    random = np.random.default_rng(seed)
+    X, Y = (np.linalg.qr(random.normal(size=(size, size)))[0] for _ in range(2))
+    values = random.uniform(0.5, 2.0, size)
+    values[-1] = fraction * linear.FADING
+    dq, b = speed * Y[-1], random.normal(size=size)
+    x = linear.fading_solve((X * values) @ Y, b, dq)
+    asked = fraction / linear.FADING * (X.T @ b)[-1]
+    braking = -(1.0 - fraction**2) * linear.BRAKING * speed
+    assert Y[-1] @ x == pytest.approx(asked + braking, abs=1e-9 * max(1.0, abs(speed)))
+    # All other directions have what was asked for.
+    np.testing.assert_allclose((Y @ x)[:-1], (X.T @ b)[:-1] / values[:-1], atol=1e-9 * max(1.0, abs(speed)))
+
+
+@every
+@given(data=st.data())
+def test_acceleration_fades_only_near_singularities(task, data):
+    """Far from them dq changes nothing; at one the result is still a bounded number."""
+    chart = Chart.at(task, _regular_state(task))
+    dq, ddw = data.draw(checks.velocities(task.robot)), data.draw(checks.numbers(chart.n))
+    arguments = chart.U.T, ddw[: chart.m], ddw[chart.m :]
+    for limit in (0, 16):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(charts, "DENSE_SOLVE", limit)
+            plain = chart.acceleration(*arguments)
+            if np.linalg.svd(chart.U, compute_uv=False)[-1] > 0.5 * max(1.0, task.robot.reach):
+                np.testing.assert_allclose(chart.acceleration(*arguments, dq), plain, atol=1e-9 * np.abs(plain).max())
+            lost = chart.acceleration(0.0 * chart.U.T, *arguments[1:], dq)
+            assert np.abs(lost).max() <= linear.BRAKING * np.linalg.norm(dq) + 2.0 * chart.n + 100 * EXACT
+
+
 # -- walking ---------------------------------------------------------------------------------------------------------
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import runpy
+from pathlib import Path
+
 import numpy as np
 import pytest
 from checks import random_state, tip
@@ -171,6 +174,18 @@ def test_a_push_is_forgotten_at_the_rate_of_the_gains(panda, task, kind):
     assert 0.01 < size.max() < 0.2
     # Critically damped at 10 rad/s: two seconds later e^-20 (1 + 20) and its like are left.
     assert size[-1] < 1e-6 * size.max()
+
+
+@pytest.mark.slow
+def test_the_benchmark_measures_what_it_says():
+    path = Path(__file__).parent.parent / "benchmarks" / "robustness.py"
+    benchmark = runpy.run_path(str(path))
+    row = benchmark["measure"]("position", "all at once", "EOS", cycles=3, seeds=1)
+    assert row.status == "finished"
+    assert 0.03 < row.task_error_max < 0.1
+    assert 0.5 < row.recovery < 3.0
+    assert 25.0 < row.torque_max < 87.0
+    assert set(benchmark["QUICK"]) < set(benchmark["SCENARIOS"])
 
 
 def test_a_torque_that_is_not_finite_ends_a_run_at_once(panda):

@@ -27,6 +27,7 @@ TABLE = """
                 tasks           pinocchio
                 positions       pinocchio
                 orientations    pinocchio
+                newton          scipy
                 charts          scipy
                 atlas
     3 motion    dynamics        scipy

@@ -303,7 +303,7 @@ def test_every_subset_of_axes_picks_its_rows(panda, axes):
 
 
 def test_a_task_has_no_more_coordinates_than_the_robot_has_joints(ppr):
-    with pytest.raises(InputError, match=r"PoseTask.*has 6 coordinates, but 'ppr' has only 3 joints"):
+    with pytest.raises(InputError, match=r"PoseTask.*has 6 coordinates, but 'ppr' only 3 joints"):
         PoseTask(ppr, "tip")
     position = PositionTask(ppr, "tip", "xy")
     with pytest.raises(InputError, match="has 4 coordinates"):

@@ -1,0 +1,117 @@
+"""Newton's method for u = h(z, v), and walking to where it does not converge at once; Sec. 3.6."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import lapack
+
+from eos_pin.arrays import Array, JointVector, SelfMotionVector, TaskVector
+from eos_pin.linear import is_odd
+from eos_pin.tasks import Point, Task
+
+
+class Inverse(NamedTuple):
+    """A point of the inverse kinematic map y(z, v), Eq. (13).
+
+    Attributes:
+        q: Joints [rad or m].
+        u: Coordinates h(z, v) along U.
+        B: (G'U)⁻¹ near q, a warm start for the next solve; Eq. (15).
+        iterations: Newton steps that were taken, all intermediate points included.
+        residual: Task error that is left, the largest entry [m, rad].
+    """
+
+    q: JointVector
+    u: TaskVector
+    B: Float[Array, "m m"]
+    iterations: int
+    residual: float
+
+
+def newton(
+    task: Task,
+    base: JointVector,
+    U: Float[Array, "n m"],
+    z: Point,
+    start: Inverse,
+    *,
+    refresh: bool,
+    tol: float,
+    max_iterations: int,
+) -> Inverse:
+    """Solve z = G(base − U u) for u; Eq. (22). It ends early where the residual grows, with whatever it has.
+
+    Args:
+        task: The task.
+        base: Joints at u = 0, which hold the self-motion coordinates.
+        U: Directions of u, (n, m).
+        z: Task point to reach.
+        start: Where to begin: its u and its B.
+        refresh: Compute B anew in each iteration, or keep that of `start`.
+        tol: Largest task error that may be left [m, rad].
+        max_iterations: Most steps.
+    """
+    u, B, last = start.u, start.B, math.inf
+    q = base - U.dot(u)
+    identity = np.eye(task.m, order="F") if refresh else None
+    for iteration in range(max_iterations + 1):
+        if refresh:
+            z_q, J = task.linearize(q)
+        else:
+            z_q = task.value(q)
+        error = task.minus(z_q, z)
+        residual = max(map(abs, error.tolist()))
+        # A step that leads away has left the neighbourhood of convergence, perhaps the chart. NaN ends here too.
+        if residual <= tol or not residual < last:
+            break
+        last = residual
+        if refresh:
+            LU, pivots, B, info = lapack.dgesv(J.dot(U), identity)
+            if info or is_odd(LU, pivots):
+                # det G'U > 0 at the base point, so it is positive on all of the chart.
+                return Inverse(q, u, start.B, iteration, math.inf)
+        u = u + B.dot(error)
+        q = base - U.dot(u)
+    return Inverse(q, u, B, iteration, residual if residual == residual else math.inf)
+
+
+def walk(
+    task: Task,
+    start: tuple[Point, SelfMotionVector],
+    goal: tuple[Point, SelfMotionVector],
+    visit: Callable[[Point, SelfMotionVector], bool],
+    *,
+    first: float = 0.5,
+    shortest: float = 1e-3,
+) -> float:
+    """Visit points along the straight line in (z, v) from `start` to `goal`, with steps as long as succeed.
+
+    Args:
+        task: Task whose group defines the straight line of z.
+        start: Known point.
+        goal: Point to reach.
+        visit: Tries a point and says whether it was reached.
+        first: Length of the first step, as a fraction of the way.
+        shortest: Fraction of the way below which a failing step ends the walk.
+
+    Returns:
+        The fraction of the way that was reached, 1.0 if all of it.
+    """
+    (z0, v0), (z1, v1) = start, goal
+    delta = task.minus(z1, z0)
+    reached, step = 0.0, first
+    while reached < 1.0:
+        if step < shortest:
+            return reached
+        ahead = min(1.0, reached + step)
+        z, v = (z1, v1) if ahead == 1.0 else (task.plus(z0, ahead * delta), v0 + ahead * (v1 - v0))
+        if visit(z, v):
+            reached, step = ahead, 2.0 * step
+        else:
+            step *= 0.5
+    return reached
