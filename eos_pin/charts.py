@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +23,7 @@ from eos_pin.arrays import (
     JointVector,
     SelfMotionVector,
     TaskVector,
+    Vector,
     VectorLike,
     readonly,
     vector,
@@ -36,6 +37,18 @@ from eos_pin.tasks import Point, Task, TaskPoint
 DENSE_SOLVE = 16
 #: What to say there.
 EDGE = "G'U is singular: this configuration is on the edge of the chart; make a chart at it"
+
+
+class Drive(NamedTuple):
+    """What `Chart.drive` finds.
+
+    Attributes:
+        ddq: Joint acceleration [rad/s² or m/s²].
+        margin: A lower bound of the chart's margin, got on the way; 0 where nothing is known.
+    """
+
+    ddq: JointVector
+    margin: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,52 +212,65 @@ class Chart:
             B = 2.0 * B - B @ product  # Eq. (21)
         raise ChartError(f"the iteration for B diverges from this start (residual {error:.3g}); solve directly instead")
 
-    def acceleration(
-        self,
-        J: Jacobian,
-        task: TaskVector,
-        self_motion: SelfMotionVector,
-        dq: JointVector | None = None,
-    ) -> JointVector:
+    def acceleration(self, J: Jacobian, task: TaskVector, self_motion: SelfMotionVector) -> JointVector:
         """Joint acceleration ddq with J ddq = `task` and Vᵀ ddq = `self_motion`.
 
-        With `task` = ddz − drift and `self_motion` = ddv this is H ddw + E of Eq. (20), without forming H or E.
+        With `task` = ddz − drift and `self_motion` = ddv this is H ddw + E of Eq. (20), without forming H or E; with dz
+        and dv it is dq = H dw of Eq. (17).
+
+        Raises:
+            ChartError: [G'; Vᵀ] is singular.
+        """
+        A, b, lifted = self._system(J, task, self_motion)
+        _, _, x, info = lapack.dgesv(A, b)
+        if info:
+            raise ChartError(EDGE)
+        return x if lifted is None else lifted + self._row_basis.dot(x)
+
+    def drive(self, J: Jacobian, task: TaskVector, self_motion: SelfMotionVector, dq: JointVector) -> Drive:
+        """Like `acceleration`, for a control law: bounded and continuous where the task becomes singular.
+
+        Directions that are being lost fade out of the law and are braked; see `fading_solve`.
 
         Args:
             J: Jacobian G'(q).
             task: Task acceleration without drift, (m,).
             self_motion: Self-motion acceleration, (r,).
-            dq: Joint velocities. With them, directions that are being lost near a singularity of the task are braked
-                instead, so that the result is bounded and continuous; see `fading_solve`.
-
-        Raises:
-            ChartError: [G'; Vᵀ] is singular, and dq is not given.
+            dq: Joint velocities, to be braked.
         """
+        A, b, lifted = self._system(J, task, self_motion)
+        LU, pivots, info = lapack.dgetrf(A)
+        H, singular = lapack.dgetri(LU, pivots)
+        spread = (H * self._metres).ravel("K")
+        # The least singular value is at least 1 / |H|, so the law never fades too late.
+        if info or singular or not spread.dot(spread) < FADING**-2:
+            along = dq if lifted is None else self._row_basis.T.dot(dq)
+            x = fading_solve(A / self._metres[:, None], b / self._metres, along)
+            return Drive(x if lifted is None else lifted + self._row_basis.dot(x), 0.0)
+        x = H.dot(b)
+        if lifted is not None:
+            return Drive(lifted + self._row_basis.dot(x), 0.0)
+        # H = [U B, D], and the singular values of D are the inverse cosines of the angles that `margin` speaks of; all
+        # are at least 1, so the largest is at most what their squares leave beyond the others.
+        D = H[:, self.m :].ravel("K")
+        return Drive(x, 1.0 / math.sqrt(max(D.dot(D) - self.r + 1.0, 1.0)))
+
+    def _system(
+        self, J: Jacobian, task: TaskVector, self_motion: SelfMotionVector
+    ) -> tuple[Array, Array, JointVector | None]:
+        """A and b of A x = b; x is the acceleration, for many joints its part beside V `self_motion`."""
         if self.n <= DENSE_SOLVE:
-            A, b, along = self._stacked.copy(order="F"), np.concatenate((task, self_motion)), dq
+            A = self._stacked.copy(order="F")
             A[: self.m] = J
-            LU, pivots, ddq, info = lapack.dgesv(A, b)
-        else:
-            lifted = self.V.dot(self_motion)
-            A, b = J.dot(self._row_basis), task - J.dot(lifted)
-            LU, pivots, ddq, info = lapack.dgesv(A, b)
-            along = None if dq is None else self._row_basis.T.dot(dq)
-        if along is not None:
-            weights = self._weights[: len(b)]
-            inverse, singular = lapack.dgetri(LU, pivots)
-            spread = (inverse / weights).ravel("K")
-            # The least singular value is at least 1 / |inverse|, so this is never too late.
-            if info or singular or not spread.dot(spread) < FADING**-2:
-                ddq, info = fading_solve(weights[:, None] * A, weights * b, along), 0
-        if info:
-            raise ChartError(EDGE)
-        return ddq if self.n <= DENSE_SOLVE else lifted + self._row_basis.dot(ddq)
+            return A, np.concatenate((task, self_motion)), None
+        lifted = self.V.dot(self_motion)
+        return J.dot(self._row_basis), task - J.dot(lifted), lifted
 
     @cached_property
-    def _weights(self) -> JointVector:
-        """Weight of each row of [G'; Vᵀ], so that metres are measured in reaches of the robot."""
-        metre = 1.0 / self.task.robot.reach
-        return np.array([metre if unit == "m" else 1.0 for unit in self.task.units] + [1.0] * self.r)
+    def _metres(self) -> Vector:
+        """Unit of each row of the system, so that singular values compare: metres are measured in reaches."""
+        units = [self.task.robot.reach if unit == "m" else 1.0 for unit in self.task.units]
+        return np.array(units + [1.0] * (self.r if self.n <= DENSE_SOLVE else 0))
 
     @cached_property
     def _stacked(self) -> Float[Array, "n n"]:

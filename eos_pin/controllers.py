@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from eos_pin.arrays import JointVector, TaskVector, VectorLike, readonly, spread, vector
+from eos_pin.arrays import Jacobian, JointVector, TaskVector, VectorLike, readonly, spread, vector
 from eos_pin.atlas import Atlas
-from eos_pin.charts import Chart
+from eos_pin.charts import Chart, Drive
 from eos_pin.errors import InputError, SingularError
 from eos_pin.objectives import Objective, Track
 from eos_pin.robot import Robot
@@ -191,18 +191,20 @@ class EosController(TaskController):
         return memory
 
     def torque(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> JointVector:
-        return self._torque(t, q, dq, memory, self.task.at(q, dq))
+        point = self.task.at(q, dq)
+        return self._torque(q, dq, self._drive(t, q, dq, memory, point).ddq, memory, point)
 
-    def _torque(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint) -> JointVector:
-        return self._model.inverse_dynamics(q, dq, self._acceleration(t, q, dq, memory, point))
-
-    def _acceleration(
-        self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint
-    ) -> JointVector:
-        """H F* + E, and near a singularity of the task what `Chart.acceleration` makes of it."""
+    def _drive(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint) -> Drive:
+        """H F* + E, and near a singularity of the task what `Chart.drive` makes of it."""
         F_z = self.task_acceleration(t, point)
         F_v = self.self_motion.acceleration(t, q, dq, memory.chart)
-        return memory.chart.acceleration(point.J, F_z - point.drift, F_v, dq)
+        return memory.chart.drive(point.J, F_z - point.drift, F_v, dq)
+
+    def _torque(
+        self, q: JointVector, dq: JointVector, ddq: JointVector, memory: EosMemory, point: TaskPoint
+    ) -> JointVector:
+        """M ddq − R, Eq. (35)."""
+        return self._model.inverse_dynamics(q, dq, ddq)
 
     def margin(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> float:
         _, J = self.task.linearize(q)
@@ -219,15 +221,20 @@ class EosController(TaskController):
             return memory
 
     def step(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> tuple[JointVector, EosMemory]:
-        # The kinematics serve the chart's margin and the torque.
         point = self.task.at(q, dq)
-        try:
-            holds = self.atlas.holds(memory.chart, point.J)
-        except SingularError:
-            holds = True
-        if not holds:
+        drive = self._drive(t, q, dq, memory, point)
+        # The bound that comes with the acceleration saves the chart's exact margin nearly always.
+        if drive.margin <= self.atlas.threshold and not self._holds(memory.chart, point.J):
             memory = self.update(t, q, dq, memory)
-        return self._torque(t, q, dq, memory, point), memory
+            drive = self._drive(t, q, dq, memory, point)
+        return self._torque(q, dq, drive.ddq, memory, point), memory
+
+    def _holds(self, chart: Chart, J: Jacobian) -> bool:
+        """Whether the chart serves; where no chart can be made, the one there is does."""
+        try:
+            return self.atlas.holds(chart, J)
+        except SingularError:
+            return True
 
     def describe(self) -> dict[str, Any]:
         return super().describe() | {

@@ -187,8 +187,9 @@ class LimitedEosController(EosController):
         kept = {name: getattr(self.limits, name).tolist() for name in ("velocity", "braking", "torque")}
         return super().describe() | {"period": self.period, "limits": kept}
 
-    def _torque(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint) -> JointVector:
-        ddq = self._acceleration(t, q, dq, memory, point)
+    def _torque(
+        self, q: JointVector, dq: JointVector, ddq: JointVector, memory: EosMemory, point: TaskPoint
+    ) -> JointVector:
         least, most = self.limits.accelerations(q, dq, self.period)
         tau = self._model.inverse_dynamics(q, dq, ddq)
         torque = self.limits.torque

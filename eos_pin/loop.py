@@ -45,6 +45,7 @@ class ControlLoop:
             self._limits = readonly(spread(torque_limits, size, "the torque limits"))
             if not (self._limits > 0.0).all():
                 raise InputError(f"the torque limits must be above 0, got {self._limits.tolist()}")
+        self._per_limit = None if self._limits is None else 1.0 / self._limits
         self.reset()
 
     def reset(self) -> None:
@@ -66,7 +67,9 @@ class ControlLoop:
         tau, self.memory = self.controller.step(t, *state, self.memory)
         limits = self._limits
         if limits is not None:
-            self.saturated = bool((np.abs(tau) > limits).any())
+            # Parts of the limits whose squares sum to less than one are each less than one.
+            part = tau * self._per_limit
+            self.saturated = not part.dot(part) <= 1.0 and bool((np.abs(tau) > limits).any())
             if self.saturated:
                 tau = np.minimum(np.maximum(tau, -limits), limits)
         return tau

@@ -65,6 +65,8 @@ class Track(Objective):
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         kp, kd, reference = self._for(chart.r)
         v_d, dv_d, ddv_d = reference(t)
+        if type(reference) is Hold:
+            return kp * (v_d - chart.v(q)) - kd * chart.dv(dq)
         return ddv_d + kd * (dv_d - chart.dv(dq)) + kp * (v_d - chart.v(q))
 
     def target(self, t: float, r: int) -> Target:

@@ -32,7 +32,7 @@ class PositionTask(Task, kind="position"):
         return pin.updateFramePlacement(self._model, data, self._id).translation[self._rows].copy()
 
     def _J(self, data: pin.Data) -> Jacobian:
-        return pin.getFrameJacobian(self._model, data, self._id, WORLD)[:3][self._rows]
+        return pin.getFrameJacobian(self._model, data, self._id, WORLD)[self._rows]
 
     def _drift(self, data: pin.Data) -> TaskVector:
         return pin.getFrameClassicalAcceleration(self._model, data, self._id, WORLD).linear[self._rows]

@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from eos_pin.arrays import Array, JointVector, number, readonly
 from eos_pin.atlas import Atlas
+from eos_pin.charts import Chart
 from eos_pin.errors import InputError
 from eos_pin.linear import FADING
 from eos_pin.loading import default_frame
@@ -56,7 +57,7 @@ def rest_posture(task: Task) -> JointVector:
     # What hangs down at the zero posture is a leg, or hangs from the ceiling, and may go on to.
     merit = partial(_merit, task, floor=float(_heights(robot, zero).min()))
     found = [_climb(robot, zero, merit)]
-    if _least(task, found[0]) < CLEAR:
+    if regularity(task, found[0]) < CLEAR:
         # The zero posture was a bad place to start from.
         found += [_climb(robot, q, merit) for q in _postures(robot, SAMPLES // 2)]
     return readonly(max(found, key=merit))
@@ -114,7 +115,7 @@ def fitting_path(
     free = _lengths(task)
     if not free:
         raise InputError(f"{task!r} has no coordinates of length to draw a path in; use the shape 'hold'")
-    if _least(task, q) < PASSABLE and (size is None or plane is None):
+    if regularity(task, q) < PASSABLE and (size is None or plane is None):
         raise InputError(
             f"no path is clear of singularities at this posture: some direction of {task!r} moves by less than "
             f"{PASSABLE:.1%} of the robot's reach, or of a radian, when a joint turns by one. Count fewer axes, take "
@@ -144,6 +145,22 @@ def fitting_path(
     raise InputError(
         f"no path of this shape fits at this posture; the smallest tried: {failures[-1]}. Try another posture"
     )
+
+
+def regularity(task: Task, q: JointVector, chart: Chart | None = None) -> float:
+    """Least motion of the task in any direction per radian of the joints, in radians and reaches of the robot.
+
+    It is 0 where the task is singular. Control fades out of directions in which it falls below `linear.FADING`.
+
+    Args:
+        task: The task.
+        q: Joints.
+        chart: Chart that is used there; v counts like the task then, and the value is 0 at the edge of the chart, too.
+    """
+    rows = _scaled(task, q)
+    if chart is not None:
+        rows = np.concatenate((rows, chart.Vt))
+    return float(np.linalg.svd(rows, compute_uv=False)[-1])
 
 
 def make_task(robot: Robot, kind: TaskKind = "position", *, frame: str = "", axes: str = "") -> Task:
@@ -216,15 +233,15 @@ def _postures(robot: Robot, count: int = SAMPLES) -> list[JointVector]:
     return list(random.uniform(ranges[:, 0], ranges[:, 1], (count, robot.n)))
 
 
-def _sigma(task: Task, q: JointVector) -> Array:
-    """Singular values of the Jacobian, lengths measured in reaches of the robot."""
+def _scaled(task: Task, q: JointVector) -> Array:
+    """Jacobian, lengths measured in reaches of the robot."""
     scale = np.array([1.0 / task.robot.reach if unit == "m" else 1.0 for unit in task.units])
-    return np.linalg.svd(scale[:, None] * task.linearize(q)[1], compute_uv=False)
+    return scale[:, None] * task.linearize(q)[1]
 
 
-def _least(task: Task, q: JointVector) -> float:
-    """Least motion of the task per radian of the joints, in any direction."""
-    return float(_sigma(task, q)[-1])
+def _sigma(task: Task, q: JointVector) -> Array:
+    """Singular values of the scaled Jacobian."""
+    return np.linalg.svd(_scaled(task, q), compute_uv=False)
 
 
 def _range(robot: Robot, i: int) -> tuple[float, float]:
@@ -334,7 +351,7 @@ def _fits(task: Task, q: JointVector, path: Trajectory) -> tuple[float, str]:
     if outside.any():
         names = [robot.joints[i].name for i in np.flatnonzero(outside.any(axis=0))]
         return math.inf, f"joints {', '.join(names)} come near their limits"
-    if min(_least(task, row) for row in found.q) < PASSABLE:
+    if min(regularity(task, row, found.charts[0]) for row in found.q) < PASSABLE:
         return math.inf, "it comes near a singularity of the task"
     velocity = np.abs(np.diff(found.q, axis=0)).max(axis=0) * TRIALS / path.period
     return float((velocity / (ROOM * robot.velocity)).max()), ""

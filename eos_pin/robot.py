@@ -116,8 +116,8 @@ class Robot:
         if weightless:
             more = f" and {len(weightless) - 8} more" if len(weightless) > 8 else ""
             raise RobotError(
-                f"robot {self.name!r} cannot be controlled by torque: joints {', '.join(weightless[:8])}{more} move no "
-                "mass (M(q) is singular). Give the links beyond them an <inertial>, or lock these joints"
+                f"robot {self.name!r} cannot be controlled by torque: joints {', '.join(weightless[:8])}{more} move "
+                "no mass (M(q) is singular). Give the links beyond them an <inertial>, or lock these joints"
             )
         scale = 1.0 / np.sqrt(np.diag(M))
         eigenvalues = np.linalg.eigvalsh(M * scale * scale[:, None])

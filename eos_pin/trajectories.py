@@ -108,24 +108,24 @@ class Harmonic(Trajectory):
         object.__setattr__(self, "center", readonly(center))
 
     @cached_property
-    def _terms(self) -> tuple[list[float], Array]:
-        """Angular frequencies, and the amplitudes in the order sin, cos, sin, cos and so on."""
-        K = len(self.sines)
-        amplitudes = np.stack((self.sines, self.cosines), axis=1).reshape(2 * K, -1)
-        return [math.tau * (k + 1) / self.period for k in range(K)], amplitudes
+    def _terms(self) -> tuple[list[float], Array, Array]:
+        """Angular frequencies; (z, dz, ddz) side by side for each of sin ωt, cos ωt, sin 2ωt and so on, and at rest."""
+        frequencies = [math.tau * (k + 1) / self.period for k in range(len(self.sines))]
+        rows: list[Array] = []
+        for omega, a, b in zip(frequencies, self.sines, self.cosines, strict=True):
+            rows += [np.concatenate((a, -omega * b, -(omega**2) * a)), np.concatenate((b, omega * a, -(omega**2) * b))]
+        at_rest = np.concatenate((self.center, np.zeros(2 * self.center.size)))
+        return frequencies, np.reshape(rows, (len(rows), at_rest.size)), at_rest
 
     def __call__(self, t: float) -> Target:
-        frequencies, amplitudes = self._terms
-        value: list[float] = []
-        rate: list[float] = []
-        second: list[float] = []
+        frequencies, rows, at_rest = self._terms
+        t += self.phase
+        waves: list[float] = []
         for omega in frequencies:
-            s, c = math.sin(omega * (t + self.phase)), math.cos(omega * (t + self.phase))
-            value += (s, c)
-            rate += (omega * c, -omega * s)
-            second += (-omega * omega * s, -omega * omega * c)
-        z, dz, ddz = np.array((value, rate, second)).dot(amplitudes)
-        return Target(z + self.center, dz, ddz)
+            waves += (math.sin(omega * t), math.cos(omega * t))
+        together = np.array(waves).dot(rows) + at_rest
+        m = self.center.size
+        return Target(together[:m], together[m : 2 * m], together[2 * m :])
 
 
 def line(center: VectorLike, stroke: VectorLike, *, period: float) -> Harmonic:
