@@ -203,11 +203,18 @@ def document(rows: Sequence[Row], verdict: str) -> str:
         f"| {name} | {branches} | {position} | {pose} | {error if isinstance(error, str) else figure(error)} |"
         for name, branches, position, pose, error in summary(rows)
     ]
-    lines += ["", "## What did not run, and why", "", "| robot | link | task | reason |", "|---|---|---|---|"]
-    for row in rows:
-        if row.result != "ran":
-            reason = row.reason.replace("|", "/").replace("<", "&lt;")
-            lines.append(f"| {row.robot} | {row.frame} | {row.task.split()[0] if row.task else ''} | {reason} |")
+    failed = [row for row in rows if row.result != "ran"]
+    fixed = [row for row in failed if row.frame and not row.n]
+    # One line for a link that refuses position and pose for one reason.
+    reasons: dict[tuple[str, str, str], list[str]] = {}
+    for row in failed:
+        if row not in fixed:
+            reasons.setdefault((row.robot, row.frame, row.reason), []).append(row.task.split()[0] if row.task else "")
+    lines += ["", "## What did not run, and why", ""]
+    lines += [f"{len(fixed)} leaf links are fixed to the base, which has no joint to control. The others:", ""]
+    lines += ["| robot | link | task | reason |", "|---|---|---|---|"]
+    for (robot, frame, reason), tasks in reasons.items():
+        lines.append(f"| {robot} | {frame} | {', '.join(tasks)} | {reason.replace('|', '/').replace('<', '&lt;')} |")
     return "\n".join(lines) + "\n"
 
 

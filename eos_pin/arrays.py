@@ -25,6 +25,14 @@ Jacobian: TypeAlias = Float[np.ndarray, "m n"]
 VectorLike: TypeAlias = Sequence[float] | np.ndarray
 
 
+def nearest(grid: Vector, values: Float[np.ndarray, " j"]) -> Array:
+    """Index of the entry of an increasing grid that is nearest to each value."""
+    if len(grid) < 2:
+        return np.zeros(len(values), dtype=np.int64)
+    i = np.clip(np.searchsorted(grid, values), 1, len(grid) - 1)
+    return i - (values - grid[i - 1] < grid[i] - values)
+
+
 def readonly(array: Array, kind: type = float) -> Array:
     """Read-only copy of `array`, of floats unless said otherwise; later writes to the original do not reach it."""
     copy: Array = np.array(array, dtype=kind)

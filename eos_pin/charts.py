@@ -241,11 +241,12 @@ class Chart:
         A, b, lifted = self._system(J, task, self_motion)
         LU, pivots, info = lapack.dgetrf(A)
         H, singular = lapack.dgetri(LU, pivots)
-        spread = (H * self._metres).ravel("K")
+        metres = self._metres if lifted is None else self._metres[: self.m]
+        spread = (H * metres).ravel("K")
         # The least singular value is at least 1 / |H|, so the law never fades too late.
         if info or singular or not spread.dot(spread) < FADING**-2:
             along = dq if lifted is None else self._row_basis.T.dot(dq)
-            x = fading_solve(A / self._metres[:, None], b / self._metres, along)
+            x = fading_solve(A / metres[:, None], b / metres, along)
             return Drive(x if lifted is None else lifted + self._row_basis.dot(x), 0.0)
         x = H.dot(b)
         if lifted is not None:
@@ -268,9 +269,8 @@ class Chart:
 
     @cached_property
     def _metres(self) -> Vector:
-        """Unit of each row of the system, so that singular values compare: metres are measured in reaches."""
-        units = [self.task.robot.reach if unit == "m" else 1.0 for unit in self.task.units]
-        return np.array(units + [1.0] * (self.r if self.n <= DENSE_SOLVE else 0))
+        """Unit of each row of [G'; Vᵀ], so that singular values compare: metres are measured in reaches."""
+        return np.array([self.task.robot.reach if unit == "m" else 1.0 for unit in self.task.units] + [1.0] * self.r)
 
     @cached_property
     def _stacked(self) -> Float[Array, "n n"]:

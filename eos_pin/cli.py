@@ -335,7 +335,7 @@ def _guarded(command: Callable[[], int]) -> int:
     try:
         return command()
     except EosError as error:
-        stderr.print(f"[bold red]Error:[/] {_escaped(str(error))}")
+        stderr.print(f"[bold red]Error:[/] {_escaped(str(error))}", soft_wrap=True)
         return 2
     except BrokenPipeError:
         sys.stderr.close()

