@@ -56,9 +56,9 @@ ROUNDING = float(np.finfo(float).eps)
 REGULAR = 2.4 * FADING
 #: The largest figures that are right; what each is stands in `Figures`.
 BOUNDS = {
-    "identity": 100.0,
-    "null_space": 100.0,
-    "acceleration": 100.0,
+    "identity": 10.0,
+    "null_space": 10.0,
+    "acceleration": 10.0,
     "equivalence": 1e-8,
     "tracking": 1e-8,
     "self_motion": 1e-8,

@@ -16,6 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from eos_pin import paper
+from eos_pin.applications import Application, panda, planar_chain
 from eos_pin.errors import OutputError
 from eos_pin.files import write_atomically
 from eos_pin.paper import Example
@@ -23,6 +24,11 @@ from eos_pin.results import Result
 
 Runs: TypeAlias = Mapping[str, Result]
 
+#: The cited applications, by what they are.
+APPLICATIONS: Mapping[str, Callable[[], Application]] = {
+    "23 joints and three discs, one of them moving": planar_chain,
+    "7-joint arm and a ball": panda,
+}
 FOOTNOTE = "¹ Full turns of a link are not counted as drift."
 #: Later than this the 5.3 energies are averaged [s]: the robot has then come to the path.
 SETTLED = 2.0
@@ -220,6 +226,20 @@ def study_table(claims: Mapping[float, Sequence[Claim]]) -> str:
         for rows in zip(*claims.values(), strict=True)
     ]
     return "\n".join("| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rows])
+
+
+def obstacles_cleared(name: str, figures: Mapping[str, float]) -> list[Claim]:
+    """Claims of the two applications that the paper cites.
+
+    Args:
+        name: Key of `APPLICATIONS`.
+        figures: What `Application.figures` found.
+    """
+    least = figures["clearance_min_between_points"]
+    return [
+        Claim("cited", f"{name}: least distance of any body from an obstacle", least, 1e-3, True, "m", 2),
+        Claim("cited", "the path is followed meanwhile", figures["task_error_max"], 1e-9, unit="m, rad"),
+    ]
 
 
 def update_block(path: Path, name: str, text: str, heading: str) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from eos_pin.claims import PLAN, claims_table, measure, study_table, update_block
+from eos_pin.claims import APPLICATIONS, PLAN, claims_table, measure, obstacles_cleared, study_table, update_block
 from eos_pin.cli import run
 from eos_pin.exhibits import claim_rows, figures
 from eos_pin.files import write_atomically
@@ -66,7 +66,10 @@ def main(
     for (label, name, rtol), result in zip(work, _shared_out("running", simulate, work, jobs), strict=True):
         results[rtol][label][name] = result
     runs = results[None]
+    cited = _shared_out("avoiding", avoid, [(name, out if pictures else None) for name in APPLICATIONS], jobs)
     claims = measure(runs)
+    for name, found in zip(APPLICATIONS, cited, strict=True):
+        claims += obstacles_cleared(name, found)
     if pictures:
         _shared_out("drawing", draw, list(_pictures(runs, out)), jobs)
     console.print(claim_rows(claims))
@@ -89,6 +92,24 @@ def simulate(label: str, name: str, rtol: float | None) -> Result:
     """Run one experiment of the plan."""
     example = PLAN[label](**({} if rtol is None else {"rtol": rtol}))
     return example.experiments[name].run()
+
+
+def avoid(name: str, out: Path | None) -> dict[str, Any]:
+    """Run a cited application with and without making way, and draw it into a folder; its figures."""
+    from eos_pin import plots
+    from eos_pin.encounters import draw
+    from eos_pin.viewer import write_html
+
+    application = APPLICATIONS[name]()
+    result = application.run()
+    if out is not None:
+        file = out / "cited" / application.task.robot.name
+        page = draw(application, {"v constant": application.run(avoiding=False), "v makes way": result})
+        for suffix in (".png", ".pdf"):
+            plots.save(page, file.with_name(file.name + suffix))
+        scene = scene_of(result, application.task.robot, application.clearance.obstacles, title=name)
+        write_html(file.with_name(file.name + ".html"), scene, result.t, result.q)
+    return application.figures(result)
 
 
 def draw(kind: str, path: Path, label: str, data: Any) -> None:

@@ -45,9 +45,9 @@ TABLE = """
                 simulation      scipy
                 kinematics      scipy
                 mujoco_plant    mujoco pinocchio
+                applications    coal
                 paper
                 claims
-                applications    coal
     6 show      meshes          coal pinocchio trimesh
                 scene           pinocchio
                 server          tornado
