@@ -200,9 +200,10 @@ def _names(lock: str | Sequence[str]) -> list[str]:
 
 
 def _locked(urdf: Urdf, lock: str | Sequence[str] | Mapping[str, float], frame: str) -> dict[str, float]:
-    """Position of every joint that is held fixed, by `lock` or because it is not on the way to `frame`."""
+    """Position of every joint held fixed: by `lock`, by its limits, or because it is not on the way to `frame`."""
     given = dict(lock) if isinstance(lock, Mapping) else dict.fromkeys(_names(lock))
-    kept = urdf.chain(frame) if frame else urdf.moving
+    chain = urdf.chain(frame) if frame else urdf.moving
+    kept = [name for name in chain if not urdf.joints[name].stuck]
     return {name: _position(urdf, name, given.get(name)) for name in (*given, *set(urdf.moving).difference(kept))}
 
 
@@ -225,7 +226,8 @@ def _position(urdf: Urdf, name: str, value: float | None) -> float:
 
 def _check_joints(urdf: Urdf, locked: Mapping[str, float], *, is_chain: bool) -> tuple[str, ...]:
     """Refuse joints that stay and cannot be controlled; notes about those taken for something else."""
-    notes = []
+    stuck = [joint for joint in urdf.joints.values() if joint.stuck]
+    notes = [f"joint {joint.name!r} is locked: its limits are both {joint.lower:g}" for joint in stuck]
     for joint in (urdf.joints[name] for name in urdf.moving if name not in locked):
         where = f"{urdf.path} line {joint.line}: joint {joint.name!r}"
         if not joint.has_one_degree:

@@ -58,6 +58,11 @@ class UrdfJoint:
         """Without limits: continuous, or with limits of 0 to 0 because nobody filled them in."""
         return self.kind == "continuous" or self.lower == self.upper == 0.0
 
+    @property
+    def stuck(self) -> bool:
+        """Whether its limits leave it no room."""
+        return self.has_one_degree and not self.unlimited and self.lower == self.upper
+
 
 @dataclass(frozen=True, eq=False)
 class Urdf:

@@ -190,6 +190,17 @@ def test_locking_keeps_all_that_the_full_model_has(name, locked):
                 assert a.isApprox(b, EXACT)
 
 
+def test_a_joint_whose_limits_leave_no_room_is_locked(urdf):
+    text = ROBOTS["panda"].path.read_text()
+    start = text.index("lower=", text.index('name="panda_joint3"'))
+    end = text.index("/>", start)
+    stuck = load_robot(urdf(text[:start] + 'lower="0.3" upper="0.3"' + text[end:]), chain_to="panda_hand")
+    locked = load_robot("panda", chain_to="panda_hand", lock={"panda_joint3": 0.3})
+    assert stuck.notes == ("joint 'panda_joint3' is locked: its limits are both 0.3",)
+    q = np.linspace(-0.5, 0.5, 6)
+    assert np.array_equal(stuck.mass(q), locked.mass(q))
+
+
 def test_locked_joints_stand_at_zero_or_at_the_limit_nearest_to_it():
     # panda_joint4 moves from -3.07 to -0.07.
     full = load_robot("panda")
