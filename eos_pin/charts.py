@@ -241,29 +241,32 @@ class Chart:
         A, b, lifted = self._system(J, task, self_motion)
         LU, pivots, info = lapack.dgetrf(A)
         H, singular = lapack.dgetri(LU, pivots)
-        metres = self._metres if lifted is None else self._metres[: self.m]
-        spread = (H * metres).ravel("K")
+        # H = [U B, D] column by column; beyond DENSE_SOLVE it has no D.
+        flat = H.reshape(-1, order="F")
+        UB, D = flat[: task.size * b.size], flat[task.size * b.size :]
+        squares = D.dot(D)
         # The least singular value is at least 1 / |H|, so the law never fades too late.
-        if info or singular or not spread.dot(spread) < FADING**-2:
+        if info or singular or not UB.dot(UB) * self._longest + squares < FADING**-2:
+            metres = self._metres[: len(b)]
             along = dq if lifted is None else self._row_basis.T.dot(dq)
             x = fading_solve(A / metres[:, None], b / metres, along)
             return Drive(x if lifted is None else lifted + self._row_basis.dot(x), 0.0)
-        x = H.dot(b)
         if lifted is not None:
-            return Drive(lifted + self._row_basis.dot(x), 0.0)
-        # H = [U B, D], and the singular values of D are the inverse cosines of the angles that `margin` speaks of; all
-        # are at least 1, so the largest is at most what their squares leave beyond the others.
-        D = H[:, self.m :].ravel("K")
-        return Drive(x, 1.0 / math.sqrt(max(D.dot(D) - self.r + 1.0, 1.0)))
+            return Drive(lifted + self._row_basis.dot(H.dot(b)), 0.0)
+        # The singular values of D are the inverse cosines of the angles that `margin` speaks of; all are at least 1, so
+        # the largest is at most what their squares leave beyond the others.
+        return Drive(H.dot(b), 1.0 / math.sqrt(max(squares - self.V.shape[1] + 1.0, 1.0)))
 
     def _system(
         self, J: Jacobian, task: TaskVector, self_motion: SelfMotionVector
     ) -> tuple[Array, Array, JointVector | None]:
         """A and b of A x = b; x is the acceleration, for many joints its part beside V `self_motion`."""
-        if self.n <= DENSE_SOLVE:
-            A = self._stacked.copy(order="F")
-            A[: self.m] = J
-            return A, np.concatenate((task, self_motion)), None
+        n, m = self.U.shape
+        if n <= DENSE_SOLVE:
+            A, b = self._stacked.copy(order="F"), np.empty(n)
+            A[:m] = J
+            b[:m], b[m:] = task, self_motion
+            return A, b, None
         lifted = self.V.dot(self_motion)
         return J.dot(self._row_basis), task - J.dot(lifted), lifted
 
@@ -271,6 +274,11 @@ class Chart:
     def _metres(self) -> Vector:
         """Unit of each row of [G'; Vᵀ], so that singular values compare: metres are measured in reaches."""
         return np.array([self.task.robot.reach if unit == "m" else 1.0 for unit in self.task.units] + [1.0] * self.r)
+
+    @cached_property
+    def _longest(self) -> float:
+        """Square of the largest of `_metres`."""
+        return float(self._metres.max(initial=1.0) ** 2)
 
     @cached_property
     def _stacked(self) -> Float[Array, "n n"]:

@@ -111,10 +111,12 @@ class TaskController(Controller):
     def task_acceleration(self, t: float, point: TaskPoint) -> TaskVector:
         """Task part of F*: ddz_d + kd (dz_d − dz) + kp (z_d − z); Eqs. (33), (36)."""
         z_d, dz_d, ddz_d = self.reference(t)
-        error = self.task.minus(z_d, point.z)
+        pull = self.kp * self.task.minus(z_d, point.z)
         if not self.feedforward:
-            return self.kp * error - self.kd * point.dz
-        return ddz_d + self.kd * (dz_d - point.dz) + self.kp * error
+            return pull - self.kd * point.dz
+        pull += self.kd * (dz_d - point.dz)
+        pull += ddz_d
+        return pull
 
     def given_up(self, t: float, q: JointVector, dq: JointVector, memory: Any) -> TaskVector:
         """Task acceleration that the law asks for and the torque does not bring, by the controller's own model.

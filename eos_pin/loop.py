@@ -78,7 +78,12 @@ class ControlLoop:
 
     def _state(self, q: Any, dq: Any) -> tuple[JointVector, JointVector]:
         try:
-            if q.shape == dq.shape == (self._shape or q.shape) and math.isfinite(q.dot(q) + dq.dot(dq)):
+            # A product is finite only where every entry is.
+            if (
+                q.shape == dq.shape == (self._shape or q.shape)
+                and math.isfinite(q.dot(q))
+                and math.isfinite(dq.dot(dq))
+            ):
                 return q, dq
         except (AttributeError, TypeError, ValueError):
             pass
