@@ -37,6 +37,7 @@ class ControlLoop:
         self.saturated = False
         self._shape = None if robot is None else (robot.n,)
         self._jump = math.inf if jump == math.inf else number(jump, "the largest jump", above=0.0)
+        self._jump_squared = self._jump**2
         self._limits: JointVector | None = None
         if torque_limits is True:
             self._limits = None if robot is None or np.isinf(robot.effort).all() else robot.effort
@@ -51,7 +52,7 @@ class ControlLoop:
     def reset(self) -> None:
         """Forget the chart and the last state; the next step starts a run."""
         self.memory = None
-        self._last: tuple[float, JointVector, JointVector] | None = None
+        self._last: tuple[float, JointVector] | None = None
 
     def step(self, t: float, q: VectorLike, dq: VectorLike) -> JointVector:
         """Joint torques at time t [s] in the state (q, dq) [N m or N].
@@ -60,21 +61,49 @@ class ControlLoop:
             StateError: The state or the time cannot be used; nothing is changed, the next step may go on.
             SingularError: The task is singular in the first state of a run.
         """
-        state = self._state(q, dq)
-        self._watch(t, *state)
-        if self.memory is None:
-            last, self._last = self._last, None
-            self.memory = self.controller.start(t, *state)
-            self._last = last
-        tau, self.memory = self.controller.step(t, *state, self.memory)
-        limits = self._limits
-        if limits is not None:
+        state = q, dq = self._state(q, dq)
+        last, self._last = self._last, (t, q.copy())
+        if last is not None:
+            moved = q - last[1]
+            # The length of the move bounds each joint's, so the usual case is one product.
+            if moved.dot(moved) > self._jump_squared:
+                self._refuse_jump(t - last[0], moved, dq)
+            if not t >= last[0]:
+                self._last = last
+                raise StateError(
+                    f"no torque at this time: t = {t!r} comes after {last[0]!r} s. Use a monotonic clock, or reset() "
+                    "the loop to start a new run"
+                )
+        memory = self.memory
+        if memory is None:
+            memory = self._start(t, *state)
+        tau, self.memory = self.controller.step(t, q, dq, memory)
+        if self._per_limit is not None:
             # Parts of the limits whose squares sum to less than one are each less than one.
             part = tau * self._per_limit
-            self.saturated = not part.dot(part) <= 1.0 and bool((np.abs(tau) > limits).any())
+            self.saturated = not part.dot(part) <= 1.0 and bool((np.abs(part) > 1.0).any())
             if self.saturated:
-                tau = np.minimum(np.maximum(tau, -limits), limits)
+                tau = np.minimum(np.maximum(tau, -self._limits), self._limits)  # type: ignore[operator,arg-type]
         return tau
+
+    def _start(self, t: float, q: JointVector, dq: JointVector) -> Any:
+        """Memory at the start of a run; a start that is refused leaves no trace."""
+        self._last = None
+        if not math.isfinite(t):
+            raise StateError(f"no torque at this time: it must be finite, got {t!r}")
+        memory = self.controller.start(t, q, dq)
+        self._last = t, q.copy()
+        return memory
+
+    def _refuse_jump(self, gap: float, moved: JointVector, dq: JointVector) -> None:
+        """Refuse joints that moved farther than their speed explains."""
+        allowed = self._jump + 2.0 * np.abs(dq) * max(gap, 0.0)
+        joint = int(np.argmax(np.abs(moved) - allowed))
+        if abs(moved[joint]) > allowed[joint]:
+            raise StateError(
+                f"no torque for this state: q[{joint}] jumped by {moved[joint]:.3g} in {gap:.3g} s, more than "
+                f"{allowed[joint]:.3g}. If the next state agrees with this one, the loop goes on"
+            )
 
     def _state(self, q: Any, dq: Any) -> tuple[JointVector, JointVector]:
         try:
@@ -94,28 +123,3 @@ class ControlLoop:
             return vector(values, self._shape[0] if self._shape else None, name)
         except InputError as error:
             raise StateError(f"no torque for this state: {error}") from None
-
-    def _watch(self, t: float, q: JointVector, dq: JointVector) -> None:
-        """Refuse a clock that runs backwards and joints that jump; remember the state either way."""
-        last = self._last
-        if last is None:
-            if not math.isfinite(t):
-                raise StateError(f"no torque at this time: it must be finite, got {t!r}")
-        else:
-            if not t >= last[0]:
-                raise StateError(
-                    f"no torque at this time: t = {t!r} comes after {last[0]!r} s. Use a monotonic clock, or reset() "
-                    "the loop to start a new run"
-                )
-            moved = q - last[1]
-            # The length of the move bounds each joint's, so the usual case is one product.
-            if moved.dot(moved) > self._jump**2:
-                allowed = self._jump + (np.abs(dq) + np.abs(last[2])) * (t - last[0])
-                joint = int(np.argmax(np.abs(moved) - allowed))
-                if abs(moved[joint]) > allowed[joint]:
-                    self._last = (t, q.copy(), dq.copy())
-                    raise StateError(
-                        f"no torque for this state: q[{joint}] jumped by {moved[joint]:.3g} in {t - last[0]:.3g} s, "
-                        f"more than {allowed[joint]:.3g}. If the next state agrees with this one, the loop goes on"
-                    )
-        self._last = (t, q.copy(), dq.copy())

@@ -64,9 +64,12 @@ class Track(Objective):
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         kp, kd, reference = self._for(chart.r)
-        v_d, dv_d, ddv_d = reference(t)
         if type(reference) is Hold:
-            return kp * (v_d - chart.v(q)) - kd * chart.dv(dq)
+            # The everyday case, without terms that are zero.
+            pull = kp * (reference.z - chart.v(q))
+            pull -= kd * chart.dv(dq)
+            return pull
+        v_d, dv_d, ddv_d = reference(t)
         return ddv_d + kd * (dv_d - chart.dv(dq)) + kp * (v_d - chart.v(q))
 
     def target(self, t: float, r: int) -> Target:

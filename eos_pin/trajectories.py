@@ -119,10 +119,7 @@ class Harmonic(Trajectory):
 
     def __call__(self, t: float) -> Target:
         frequencies, rows, at_rest = self._terms
-        t += self.phase
-        waves: list[float] = []
-        for omega in frequencies:
-            waves += (math.sin(omega * t), math.cos(omega * t))
+        waves = [wave(omega * (t + self.phase)) for omega in frequencies for wave in (math.sin, math.cos)]
         together = np.array(waves).dot(rows) + at_rest
         m = self.center.size
         return Target(together[:m], together[m : 2 * m], together[2 * m :])
