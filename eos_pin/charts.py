@@ -17,17 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import lapack
 
-from eos_pin.arrays import (
-    Array,
-    Jacobian,
-    JointVector,
-    SelfMotionVector,
-    TaskVector,
-    Vector,
-    VectorLike,
-    readonly,
-    vector,
-)
+from eos_pin.arrays import Array, Jacobian, JointVector, SelfMotionVector, TaskVector, VectorLike, readonly, vector
 from eos_pin.errors import ChartError, InverseError
 from eos_pin.linear import FADING, RANK_TOLERANCE, check_rank, fading_solve, null_space
 from eos_pin.newton import Inverse, newton, walk
@@ -271,7 +261,7 @@ class Chart:
         return J.dot(self._row_basis), task - J.dot(lifted), lifted
 
     @cached_property
-    def _metres(self) -> Vector:
+    def _metres(self) -> JointVector:
         """Unit of each row of [G'; Vᵀ], so that singular values compare: metres are measured in reaches."""
         return np.array([self.task.robot.reach if unit == "m" else 1.0 for unit in self.task.units] + [1.0] * self.r)
 

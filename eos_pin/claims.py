@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -228,7 +228,7 @@ def study_table(claims: Mapping[float, Sequence[Claim]]) -> str:
     return "\n".join("| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rows])
 
 
-def obstacles_cleared(name: str, figures: Mapping[str, float]) -> list[Claim]:
+def obstacles_cleared(name: str, figures: Mapping[str, Any]) -> list[Claim]:
     """Claims of the two applications that the paper cites.
 
     Args:
