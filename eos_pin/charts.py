@@ -11,15 +11,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import lapack
 
 from eos_pin.arrays import Array, Jacobian, JointVector, SelfMotionVector, TaskVector, VectorLike, readonly, vector
+from eos_pin.bases import Basis, carried, null_basis
 from eos_pin.errors import ChartError, InverseError
-from eos_pin.linear import FADING, RANK_TOLERANCE, check_rank, fading_solve, null_space
+from eos_pin.linear import FADING, RANK_TOLERANCE, check_rank, fading_solve
 from eos_pin.newton import Inverse, newton, walk
 from eos_pin.tasks import Point, Task, TaskPoint
 
@@ -27,18 +28,6 @@ from eos_pin.tasks import Point, Task, TaskPoint
 DENSE_SOLVE = 16
 #: What to say there.
 EDGE = "G'U is singular: this configuration is on the edge of the chart; make a chart at it"
-
-
-class Drive(NamedTuple):
-    """What `Chart.drive` finds.
-
-    Attributes:
-        ddq: Joint acceleration [rad/s² or m/s²].
-        margin: A lower bound of the chart's margin, got on the way; 0 where nothing is known.
-    """
-
-    ddq: JointVector
-    margin: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +40,8 @@ class Chart:
         z_bar: Its task point.
         v_bar: Its self-motion coordinates, (r,).
         U: Transposed Jacobian at q_bar, (n, m); Eq. (10).
-        V: Orthonormal basis of the Jacobian's null space at q_bar, (n, r); Eq. (10).
         B_bar: (UᵀU)⁻¹, (m, m); Eq. (15) at q_bar.
+        basis: Orthonormal basis V of the Jacobian's null space at q_bar; for many joints it is not written out.
     """
 
     task: Task
@@ -60,8 +49,10 @@ class Chart:
     z_bar: Point
     v_bar: SelfMotionVector
     U: Float[Array, "n m"]
-    V: Float[Array, "n r"]
     B_bar: Float[Array, "m m"]
+    basis: Basis
+    #: Orthonormal basis of the row space of the Jacobian at q_bar.
+    _row_basis: Float[Array, "n m"]
 
     @classmethod
     def at(cls, task: Task, q: VectorLike, *, previous: Chart | None = None) -> Chart:
@@ -80,13 +71,13 @@ class Chart:
         q_bar = readonly(vector(q, task.robot.n, "the base configuration q"))
         z_bar, J = task.linearize(q_bar)
         check_rank(J)
-        V = null_space(J)
-        v_bar = np.zeros(V.shape[1])
-        if previous is not None:
-            X, _, Yt = np.linalg.svd(V.T @ previous.V)
-            V = V @ (X @ Yt)
-            v_bar = previous.v(q_bar)
-        return cls(task, q_bar, *(readonly(a) for a in (z_bar, v_bar, J.T, V, np.linalg.inv(J @ J.T))))
+        row_basis = readonly(np.linalg.qr(J.T)[0])
+        if previous is None:
+            v_bar, basis = np.zeros(task.robot.n - task.m), null_basis(J, row_basis)
+        else:
+            v_bar, basis = previous.v(q_bar), carried(previous.basis, previous._row_basis, row_basis)
+        z_bar, v_bar, U, B_bar = (readonly(array) for array in (z_bar, v_bar, J.T, np.linalg.inv(J @ J.T)))
+        return cls(task, q_bar, z_bar, v_bar, U, B_bar, basis, row_basis)
 
     @property
     def n(self) -> int:
@@ -101,13 +92,13 @@ class Chart:
     @property
     def r(self) -> int:
         """Degree of redundancy n − m."""
-        return self.V.shape[1]
+        return self.v_bar.size
 
     # -- coordinates -------------------------------------------------------------------------------------------------
 
     def v(self, q: JointVector) -> SelfMotionVector:
         """Self-motion coordinates v = v_bar + Vᵀ(q − q_bar); from Eq. (11)."""
-        return self.Vt.dot(q) + self._v_zero
+        return self.basis.project(q) + self._v_zero
 
     def u(self, q: JointVector) -> TaskVector:
         """Coordinates u along U of a configuration, −(UᵀU)⁻¹Uᵀ(q − q_bar); from Eq. (11)."""
@@ -115,11 +106,16 @@ class Chart:
 
     def q(self, v: SelfMotionVector, u: TaskVector) -> JointVector:
         """Joints q = q_bar + V(v − v_bar) − U u; Eq. (11)."""
-        return self.q_bar + self.V.dot(v - self.v_bar) - self.U.dot(u)
+        return self.q_bar + self.basis.apply(v - self.v_bar) - self.U.dot(u)
 
     def dv(self, dq: JointVector) -> SelfMotionVector:
         """Self-motion velocity Vᵀ dq; Eqs. (19), (27)."""
-        return self.Vt.dot(dq)
+        return self.basis.project(dq)
+
+    @property
+    def V(self) -> Float[Array, "n r"]:
+        """Orthonormal basis of the Jacobian's null space at q_bar, written out; Eq. (10)."""
+        return self.basis.matrix
 
     @cached_property
     def Vt(self) -> Float[Array, "r n"]:
@@ -128,14 +124,9 @@ class Chart:
 
     @cached_property
     def _v_zero(self) -> SelfMotionVector:
-        return self.v_bar - self.V.T @ self.q_bar
+        return self.v_bar - self.basis.project(self.q_bar)
 
     # -- where the chart holds ---------------------------------------------------------------------------------------
-
-    @cached_property
-    def _row_basis(self) -> Float[Array, "n m"]:
-        """Orthonormal basis of the row space of G'(q_bar)."""
-        return np.linalg.qr(self.U)[0]
 
     def margin(self, J: Jacobian) -> float:
         """How far a configuration with Jacobian J is from the edge of the chart: 1 at the base point, 0 on the edge.
@@ -217,35 +208,41 @@ class Chart:
             raise ChartError(EDGE)
         return x if lifted is None else lifted + self._row_basis.dot(x)
 
-    def drive(self, J: Jacobian, task: TaskVector, self_motion: SelfMotionVector, dq: JointVector) -> Drive:
-        """Like `acceleration`, for a control law: bounded and continuous where the task becomes singular.
+    def drive(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
+        """Joint acceleration of a control law: like `acceleration`, but bounded and continuous at task singularities.
 
         Directions that are being lost fade out of the law and are braked; see `fading_solve`.
 
         Args:
             J: Jacobian G'(q).
-            task: Task acceleration without drift, (m,).
-            self_motion: Self-motion acceleration, (r,).
+            F: Acceleration asked of w = (z, v), the task's part without its drift, (n,).
             dq: Joint velocities, to be braked.
+
+        Returns:
+            The acceleration, and a lower bound of the chart's margin that is got on the way, 0 where nothing is known.
         """
-        A, b, lifted = self._system(J, task, self_motion)
+        n, m = self.U.shape
+        if n > DENSE_SOLVE:
+            lifted = self.basis.apply(F[m:])
+            A, b, along = J.dot(self._row_basis), F[:m] - J.dot(lifted), self._row_basis.T.dot(dq)
+        else:
+            A, b, along = self._stacked, F, dq
+            A[:m] = J
         LU, pivots, info = lapack.dgetrf(A)
-        H, singular = lapack.dgetri(LU, pivots)
+        H, singular = lapack.dgetri(LU, pivots, overwrite_lu=1)
         # H = [U B, D] column by column; beyond DENSE_SOLVE it has no D.
-        flat = H.reshape(-1, order="F")
-        UB, D = flat[: task.size * b.size], flat[task.size * b.size :]
+        flat, cut = H.T.ravel(), m * b.size
+        UB, D = flat[:cut], flat[cut:]
         squares = D.dot(D)
         # The least singular value is at least 1 / |H|, so the law never fades too late.
         if info or singular or not UB.dot(UB) * self._longest + squares < FADING**-2:
-            metres = self._metres[: len(b)]
-            along = dq if lifted is None else self._row_basis.T.dot(dq)
-            x = fading_solve(A / metres[:, None], b / metres, along)
-            return Drive(x if lifted is None else lifted + self._row_basis.dot(x), 0.0)
-        if lifted is not None:
-            return Drive(lifted + self._row_basis.dot(H.dot(b)), 0.0)
-        # The singular values of D are the inverse cosines of the angles that `margin` speaks of; all are at least 1, so
-        # the largest is at most what their squares leave beyond the others.
-        return Drive(H.dot(b), 1.0 / math.sqrt(max(squares - self.V.shape[1] + 1.0, 1.0)))
+            metres = self._metres[: b.size]
+            x, margin = fading_solve(A / metres[:, None], b / metres, along), 0.0
+        else:
+            # The singular values of D are the inverse cosines of the angles that `margin` speaks of; all are at least
+            # 1, so the largest is at most what their squares leave beyond the others.
+            x, margin = H.dot(b), 1.0 / math.sqrt(max(squares - n + m + 1.0, 1.0))
+        return (x, margin) if b is F else (lifted + self._row_basis.dot(x), 0.0)
 
     def _system(
         self, J: Jacobian, task: TaskVector, self_motion: SelfMotionVector
@@ -257,7 +254,7 @@ class Chart:
             A[:m] = J
             b[:m], b[m:] = task, self_motion
             return A, b, None
-        lifted = self.V.dot(self_motion)
+        lifted = self.basis.apply(self_motion)
         return J.dot(self._row_basis), task - J.dot(lifted), lifted
 
     @cached_property
@@ -272,7 +269,7 @@ class Chart:
 
     @cached_property
     def _stacked(self) -> Float[Array, "n n"]:
-        """[G'; Vᵀ] with the rows of G' still to be filled in, in the order LAPACK wants."""
+        """Workspace for [G'; Vᵀ], where G' is filled in, in the order LAPACK wants."""
         return np.asfortranarray(np.vstack((self.U.T, self.V.T)))
 
     # -- inverse kinematics ------------------------------------------------------------------------------------------
@@ -336,7 +333,7 @@ class Chart:
         return current._replace(iterations=iterations)
 
     def _newton(self, z: Point, v: SelfMotionVector, start: Inverse, **settings: Any) -> Inverse:
-        return newton(self.task, self.q_bar + self.V.dot(v - self.v_bar), self.U, z, start, **settings)
+        return newton(self.task, self.q_bar + self.basis.apply(v - self.v_bar), self.U, z, start, **settings)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from eos_pin.arrays import Array, JointVector, VectorLike, number, vector
 from eos_pin.errors import InputError, RobotError, UnknownNameError
 from eos_pin.robot import Robot
+from eos_pin.workspace import workspace
 
 #: Where an obstacle is: a point of the world [m], a pose, or either as a function of time [s].
 Placement: TypeAlias = "VectorLike | pin.SE3 | Callable[[float], VectorLike | pin.SE3]"
@@ -184,7 +185,7 @@ class Clearance:
         data = self._geometry[0].createData()
         for request in data.distanceRequests:
             request.gjk_tolerance = ACCURACY
-        return self.robot.model.createData(), data
+        return workspace(self.robot.model), data
 
     @cached_property
     def _support(self) -> Float[Array, "joints n"]:

@@ -17,12 +17,12 @@ import numpy as np
 
 from eos_pin.arrays import Jacobian, JointVector, TaskVector, VectorLike, readonly, spread, vector
 from eos_pin.atlas import Atlas
-from eos_pin.charts import Chart, Drive
+from eos_pin.charts import DENSE_SOLVE, Chart
 from eos_pin.errors import InputError, SingularError
 from eos_pin.objectives import Objective, Track
 from eos_pin.robot import Robot
 from eos_pin.tasks import Task, TaskPoint
-from eos_pin.trajectories import Target, Trajectory
+from eos_pin.trajectories import Hold, Target, Trajectory
 
 
 class Controller(ABC):
@@ -136,10 +136,54 @@ class EosMemory:
     Attributes:
         chart: The chart it is on.
         number: How many charts came before it.
+        law: The controller's law on this chart, where it has the form of a `TrackingLaw`.
     """
 
     chart: Chart
     number: int = 0
+    law: TrackingLaw | None = None
+
+
+class TrackingLaw:
+    """`EosController.asked` for self-motion that is tracked, as one product at half the price; Eqs. (36), (45).
+
+    (F_z − Ġ'dq, F_v) = K (z_d − z, dz_d − dz, ddz_d − Ġ'dq, q_d − q, −dq), where any q_d with Vᵀ q_d = v_d serves.
+
+    Args:
+        controller: Whose law it is.
+        chart: The chart it is for.
+        track: What the self-motion tracks.
+    """
+
+    def __init__(self, controller: TaskController, chart: Chart, track: Track) -> None:
+        m, n = chart.m, chart.n
+        self._task, self._reference, self._feedforward = controller.task, controller.reference, controller.feedforward
+        self._chart, (self._kp, self._kd, self._v_reference) = chart, track.law(chart.r)
+        self._K = np.zeros((n, 3 * m + 2 * n))
+        self._K[:m, : 3 * m] = np.hstack((np.diag(controller.kp), np.diag(controller.kd), np.eye(m)))
+        self._K[m:, 3 * m :] = np.hstack((self._kp[:, None] * chart.Vt, self._kd[:, None] * chart.Vt))
+        self._q_d = chart.q(self._v_reference(0.0).z, np.zeros(m))
+        self._v_moves = not isinstance(self._v_reference, Hold)
+        # Workspace, with views of its parts.
+        self._wanted, self._found = np.zeros((2, 3 * m + 2 * n))
+        parts = np.cumsum((m, m, m, n))
+        self._e_z, self._dz_d, self._ddz_d, q_d, _ = np.split(self._wanted, parts)
+        q_d[:] = self._q_d
+        _, self._dz, self._drift, self._q, self._dq = np.split(self._found, parts)
+
+    def __call__(self, t: float, q: JointVector, dq: JointVector, point: TaskPoint) -> JointVector:
+        """(F_z − Ġ'dq, F_v) at a state."""
+        z, _, dz, drift = point
+        z_d, dz_d, ddz_d = self._reference(t)
+        self._e_z[:] = self._task.minus(z_d, z)
+        if self._feedforward:
+            self._dz_d[:], self._ddz_d[:] = dz_d, ddz_d
+        self._dz[:], self._drift[:], self._q[:], self._dq[:] = dz, drift, q, dq
+        F = self._K.dot(self._wanted - self._found)
+        if self._v_moves:
+            v_d, dv_d, ddv_d = self._v_reference(t)
+            F[dz.size :] += self._kp * (v_d - self._chart.v(self._q_d)) + self._kd * dv_d + ddv_d
+        return F
 
 
 class EosController(TaskController):
@@ -183,7 +227,7 @@ class EosController(TaskController):
             raise InputError("the atlas of an EosController must be of the controller's own task object")
 
     def start(self, t: float, q: JointVector, dq: JointVector) -> EosMemory:
-        memory = EosMemory(self.atlas.start(q))
+        memory = self._memory(self.atlas.start(q), 0)
         # A wrong shape of v_d or of its gains is refused here, not in the middle of a run.
         try:
             F_v = self.self_motion.acceleration(t, q, dq, memory.chart)
@@ -192,15 +236,31 @@ class EosController(TaskController):
         vector(F_v, memory.chart.r, f"what {type(self.self_motion).__name__} asks of the self-motion")
         return memory
 
+    def _memory(self, chart: Chart, number: int) -> EosMemory:
+        track = self.self_motion
+        own = type(self).task_acceleration is not TaskController.task_acceleration
+        # The product is dense, so for many joints its terms one by one are cheaper.
+        if own or type(track) is not Track or chart.n > DENSE_SOLVE:
+            return EosMemory(chart, number)
+        return EosMemory(chart, number, TrackingLaw(self, chart, track))
+
     def torque(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> JointVector:
         point = self.task.at(q, dq)
-        return self._torque(q, dq, self._drive(t, q, dq, memory, point).ddq, memory, point)
+        ddq, _ = self._drive(t, q, dq, memory, point)
+        return self._torque(q, dq, ddq, memory, point)
 
-    def _drive(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint) -> Drive:
-        """H F* + E, and near a singularity of the task what `Chart.drive` makes of it."""
-        F_z = self.task_acceleration(t, point)
-        F_v = self.self_motion.acceleration(t, q, dq, memory.chart)
-        return memory.chart.drive(point.J, F_z - point.drift, F_v, dq)
+    def _drive(
+        self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint
+    ) -> tuple[JointVector, float]:
+        """H F* + E and a bound of the chart's margin; near a singularity of the task what `Chart.drive` makes of it."""
+        chart, law = memory.chart, memory.law
+        F = self.asked(t, q, dq, chart, point) if law is None else law(t, q, dq, point)
+        return chart.drive(point.J, F, dq)
+
+    def asked(self, t: float, q: JointVector, dq: JointVector, chart: Chart, point: TaskPoint) -> JointVector:
+        """F* less the task's drift: (F_z − Ġ'dq, F_v), (n,); Eqs. (36), (45)."""
+        F_z = self.task_acceleration(t, point) - point.drift
+        return np.concatenate((F_z, self.self_motion.acceleration(t, q, dq, chart)))
 
     def _torque(
         self, q: JointVector, dq: JointVector, ddq: JointVector, memory: EosMemory, point: TaskPoint
@@ -218,18 +278,18 @@ class EosController(TaskController):
 
     def update(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> EosMemory:
         try:
-            return EosMemory(self.atlas.next(memory.chart, q), memory.number + 1)
+            return self._memory(self.atlas.next(memory.chart, q), memory.number + 1)
         except SingularError:
             return memory
 
     def step(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> tuple[JointVector, EosMemory]:
         point = self.task.at(q, dq)
-        drive = self._drive(t, q, dq, memory, point)
+        ddq, margin = self._drive(t, q, dq, memory, point)
         # The bound that comes with the acceleration saves the chart's exact margin nearly always.
-        if drive.margin <= self.atlas.threshold and not self._holds(memory.chart, point.J):
+        if margin <= self.atlas.threshold and not self._holds(memory.chart, point.J):
             memory = self.update(t, q, dq, memory)
-            drive = self._drive(t, q, dq, memory, point)
-        return self._torque(q, dq, drive.ddq, memory, point), memory
+            ddq, _ = self._drive(t, q, dq, memory, point)
+        return self._torque(q, dq, ddq, memory, point), memory
 
     def _holds(self, chart: Chart, J: Jacobian) -> bool:
         """Whether the chart serves; where no chart can be made, the one there is does."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import count
+from operator import ne
+
 import numpy as np
 import scipy.linalg
 from jaxtyping import Float
@@ -39,18 +42,18 @@ def null_space(J: Jacobian) -> Float[Array, "n r"]:
     """Orthonormal basis of the null space of J, the same on every machine: the sign of each column is fixed."""
     m = J.shape[0]
     V = scipy.linalg.qr(J.T)[0][:, m:]
-    for column in V.T:
-        # The last entry of about the largest size is positive; ties within rounding then cannot flip the sign.
-        size = np.abs(column)
-        if column[np.flatnonzero(size >= 0.5 * size.max())[-1]] < 0.0:
-            column *= -1.0
+    size = np.abs(V)
+    # The last entry of about the largest size is positive; ties within rounding then cannot flip the sign.
+    about = size >= 0.5 * size.max(axis=0, initial=0.0)
+    last = V.shape[0] - 1 - about[::-1].argmax(axis=0)
+    V[:, V[last, range(V.shape[1])] < 0.0] *= -1.0
     return V
 
 
 def is_odd(LU: Array, pivots: Array) -> bool:
     """Whether the determinant of a factored matrix is negative."""
-    signs = sum(d < 0.0 for d in LU.diagonal().tolist()) + sum(p != i for i, p in enumerate(pivots.tolist()))
-    return signs % 2 == 1
+    negative, swapped = map((0.0).__gt__, LU.diagonal().tolist()), map(ne, pivots.tolist(), count())
+    return (sum(negative) + sum(swapped)) % 2 == 1
 
 
 def fading_solve(A: Matrix, b: Vector, dq: JointVector) -> JointVector:

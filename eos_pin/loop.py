@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from eos_pin.arrays import JointVector, VectorLike, number, readonly, spread, vector
+from eos_pin.arrays import JointVector, VectorLike, number, spread, vector
 from eos_pin.controllers import Controller
 from eos_pin.errors import InputError, StateError
 
@@ -38,15 +38,16 @@ class ControlLoop:
         self._shape = None if robot is None else (robot.n,)
         self._jump = math.inf if jump == math.inf else number(jump, "the largest jump", above=0.0)
         self._jump_squared = self._jump**2
-        self._limits: JointVector | None = None
+        self._limits: JointVector = np.array(np.inf)
         if torque_limits is True:
-            self._limits = None if robot is None or np.isinf(robot.effort).all() else robot.effort
+            self._limits = self._limits if robot is None else robot.effort
         elif torque_limits is not False:
             size = np.size(torque_limits) if robot is None else robot.n
-            self._limits = readonly(spread(torque_limits, size, "the torque limits"))
+            self._limits = spread(torque_limits, size, "the torque limits")
             if not (self._limits > 0.0).all():
                 raise InputError(f"the torque limits must be above 0, got {self._limits.tolist()}")
-        self._per_limit = None if self._limits is None else 1.0 / self._limits
+        # Without any limit a torque passes as long as its square is a number.
+        self._per_limit = np.maximum(1.0 / self._limits, 1e-150)
         self.reset()
 
     def reset(self) -> None:
@@ -61,62 +62,63 @@ class ControlLoop:
             StateError: The state or the time cannot be used; nothing is changed, the next step may go on.
             SingularError: The task is singular in the first state of a run.
         """
-        state = q, dq = self._state(q, dq)
-        last, self._last = self._last, (t, q.copy())
-        if last is not None:
-            moved = q - last[1]
-            # The length of the move bounds each joint's, so the usual case is one product.
-            if moved.dot(moved) > self._jump_squared:
-                self._refuse_jump(t - last[0], moved, dq)
-            if not t >= last[0]:
-                self._last = last
-                raise StateError(
-                    f"no torque at this time: t = {t!r} comes after {last[0]!r} s. Use a monotonic clock, or reset() "
-                    "the loop to start a new run"
-                )
-        memory = self.memory
-        if memory is None:
-            memory = self._start(t, *state)
-        tau, self.memory = self.controller.step(t, q, dq, memory)
-        if self._per_limit is not None:
-            # Parts of the limits whose squares sum to less than one are each less than one.
-            part = tau * self._per_limit
-            self.saturated = not part.dot(part) <= 1.0 and bool((np.abs(part) > 1.0).any())
-            if self.saturated:
-                tau = np.minimum(np.maximum(tau, -self._limits), self._limits)  # type: ignore[operator,arg-type]
-        return tau
+        q_now: Any = q
+        dq_now: Any = dq
+        last = self._last
+        if last is None:
+            q_now, dq_now = self._checked(q, "q"), self._checked(dq, "dq")
+            self._start(t, q_now, dq_now)
+        else:
+            try:
+                moved = q_now - last[1]
+                # The length of the move bounds each joint's, so the usual case is one product; NaN never passes.
+                usual = moved.dot(moved) < self._jump_squared and last[0] <= t < math.inf
+                usual = usual and math.isfinite(dq_now.dot(dq_now)) and q_now.shape == dq_now.shape == last[1].shape
+            except (AttributeError, TypeError, ValueError):
+                usual = False
+            if not usual:
+                q_now, dq_now = self._checked(q, "q"), self._checked(dq, "dq")
+                self._refuse(t, q_now, dq_now, *last)
+            self._last = t, q_now.copy()
+        tau, self.memory = self.controller.step(t, q_now, dq_now, self.memory)
+        # Parts of the limits whose squares sum to less than one are each less than one; NaN again never passes.
+        part = tau * self._per_limit
+        self.saturated = False
+        return tau if part.dot(part) <= 1.0 else self._cut(t, tau, part)
 
-    def _start(self, t: float, q: JointVector, dq: JointVector) -> Any:
+    def _cut(self, t: float, tau: JointVector, part: JointVector) -> JointVector:
+        """Torques within the limits, from torques and the parts of the limits that they are."""
+        parts = part.tolist()
+        if not math.isfinite(sum(parts)):
+            raise StateError(f"{type(self.controller).__name__} has no finite torque at t = {t!r} s: {tau.tolist()}")
+        self.saturated = max(parts) > 1.0 or min(parts) < -1.0
+        # Two calls that take a third of the time of np.clip.
+        return np.minimum(np.maximum(tau, -self._limits), self._limits) if self.saturated else tau
+
+    def _start(self, t: float, q: JointVector, dq: JointVector) -> None:
         """Memory at the start of a run; a start that is refused leaves no trace."""
-        self._last = None
         if not math.isfinite(t):
             raise StateError(f"no torque at this time: it must be finite, got {t!r}")
-        memory = self.controller.start(t, q, dq)
+        self.memory = self.controller.start(t, q, dq)
         self._last = t, q.copy()
-        return memory
 
-    def _refuse_jump(self, gap: float, moved: JointVector, dq: JointVector) -> None:
-        """Refuse joints that moved farther than their speed explains."""
-        allowed = self._jump + 2.0 * np.abs(dq) * max(gap, 0.0)
+    def _refuse(self, t: float, q: JointVector, dq: JointVector, t_last: float, q_last: JointVector) -> None:
+        """Refuse a clock that runs backwards, and joints that moved farther than their speed explains."""
+        if not t_last <= t < math.inf:
+            raise StateError(
+                f"no torque at this time: t = {t!r} comes after {t_last!r} s. Use a monotonic clock, or reset() "
+                "the loop to start a new run"
+            )
+        moved, gap = q - q_last, t - t_last
+        allowed = self._jump + 2.0 * np.abs(dq) * gap
         joint = int(np.argmax(np.abs(moved) - allowed))
         if abs(moved[joint]) > allowed[joint]:
+            # The next state is believed if it is near this one.
+            self._last = t, q.copy()
             raise StateError(
                 f"no torque for this state: q[{joint}] jumped by {moved[joint]:.3g} in {gap:.3g} s, more than "
                 f"{allowed[joint]:.3g}. If the next state agrees with this one, the loop goes on"
             )
-
-    def _state(self, q: Any, dq: Any) -> tuple[JointVector, JointVector]:
-        try:
-            # A product is finite only where every entry is.
-            if (
-                q.shape == dq.shape == (self._shape or q.shape)
-                and math.isfinite(q.dot(q))
-                and math.isfinite(dq.dot(dq))
-            ):
-                return q, dq
-        except (AttributeError, TypeError, ValueError):
-            pass
-        return self._checked(q, "q"), self._checked(dq, "dq")
 
     def _checked(self, values: VectorLike, name: str) -> JointVector:
         try:

@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from eos_pin.arrays import Array
 from eos_pin.errors import ViewerError
 from eos_pin.robot import Robot
+from eos_pin.workspace import workspace
 
 #: Red, green, blue, opacity; each from 0 to 1.
 Color: TypeAlias = tuple[float, float, float, float]
@@ -138,7 +139,7 @@ def skeleton(robot: Robot) -> list[pin.GeometryObject]:
     tips = [(f.parentJoint, f.placement.translation) for f in model.frames if f.type == pin.FrameType.BODY]
     bones = [(model.parents[i], model.jointPlacements[i].translation) for i in range(1, model.njoints)] + tips
     thickness = 0.03 * max([float(np.linalg.norm(point)) for _, point in bones] + [1e-3])
-    data = model.createData()
+    data = workspace(model)
     items = []
     for k, (joint, point) in enumerate(bones):
         length = float(np.linalg.norm(point))

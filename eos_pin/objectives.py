@@ -51,8 +51,8 @@ class Track(Objective):
         self.reference, self.kp, self.kd = reference, kp, kd
         self._ready: tuple[SelfMotionVector, SelfMotionVector, Trajectory] | None = None
 
-    def _for(self, r: int) -> tuple[SelfMotionVector, SelfMotionVector, Trajectory]:
-        """Gains and reference for r self-motion coordinates, checked once."""
+    def law(self, r: int) -> tuple[SelfMotionVector, SelfMotionVector, Trajectory]:
+        """Gains kp and kd, (r,) each, and reference for r self-motion coordinates; checked once."""
         if self._ready is None or self._ready[0].size != r:
             reference = self.reference or Hold([0.0] * r)  # type: ignore[arg-type]
             vector(reference(0.0).z, r, "v_d")
@@ -63,7 +63,7 @@ class Track(Objective):
         return self._ready
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        kp, kd, reference = self._for(chart.r)
+        kp, kd, reference = self.law(chart.r)
         if type(reference) is Hold:
             # The everyday case, without terms that are zero.
             pull = kp * (reference.z - chart.v(q))
@@ -73,7 +73,7 @@ class Track(Objective):
         return ddv_d + kd * (dv_d - chart.dv(dq)) + kp * (v_d - chart.v(q))
 
     def target(self, t: float, r: int) -> Target:
-        return self._for(r)[2](t)
+        return self.law(r)[2](t)
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Posture(Objective):
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         if self.q.size != q.size:
             raise InputError(f"the posture has {self.q.size} joints, the robot {q.size}")
-        return chart.Vt.dot(self.kp * (self.q - q) - self.kd * dq)
+        return chart.dv(self.kp * (self.q - q) - self.kd * dq)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ class ReduceKineticEnergy(Objective):
             raise InputError(f"gradient must be 'velocity' or 'configuration', got {self.gradient!r}")
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        return -self.gain * chart.Vt.dot(self.energy_gradient(q, dq))
+        return -self.gain * chart.dv(self.energy_gradient(q, dq))
 
     def energy_gradient(self, q: JointVector, dq: JointVector) -> JointVector:
         """∇T, (n,)."""
@@ -158,7 +158,7 @@ class DescendPotential(Objective):
     kd: float = 0.0
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        return chart.Vt.dot(-self.gain * self.gradient(q) - self.kd * dq)
+        return chart.dv(-self.gain * self.gradient(q) - self.kd * dq)
 
 
 class Together(Objective):

@@ -76,10 +76,10 @@ class PoseTask(Task, kind="pose"):
         super().__init__(robot, ("x", "y", "z", "rx", "ry", "rz"), ["m"] * 3 + ["rad"] * 3, 12)
 
     def _z(self, data: pin.Data) -> Point:
-        placement = pin.updateFramePlacement(self._model, data, self._id)
+        matrix = pin.updateFramePlacement(self._model, data, self._id).homogeneous
         z = np.empty(12)
-        z[:3] = placement.translation
-        z[3:] = placement.rotation.ravel()
+        z[:3] = matrix[:3, 3]
+        z[3:] = matrix[:3, :3].ravel()
         return z
 
     def _J(self, data: pin.Data) -> Jacobian:
@@ -89,8 +89,7 @@ class PoseTask(Task, kind="pose"):
         return pin.getFrameClassicalAcceleration(self._model, data, self._id, WORLD).vector
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
-        delta = np.empty(6)
-        delta[:3] = z1[:3] - z0[:3]
+        delta = (z1 - z0)[:6]
         delta[3:] = pin.log3(z1[3:].reshape(3, 3).dot(z0[3:].reshape(3, 3).T))
         return delta
 

@@ -17,12 +17,13 @@ from jaxtyping import Float
 
 from eos_pin.arrays import Array, JointVector, VectorLike, number, readonly, vector
 from eos_pin.errors import RobotError, UnknownNameError
+from eos_pin.workspace import workspace
 
 #: M(q) counts as singular below this reciprocal condition number: torques would have no meaning.
 SINGULAR_MASS = 1e-12
 
-#: Pinocchio's workspace holds eight n × n × n arrays, 8 GB at this n; more is refused before memory runs out.
-MOST_JOINTS = 500
+#: The mass matrix of more joints than this would take seconds to check.
+MOST_JOINTS = 2000
 
 
 @dataclass(frozen=True)
@@ -93,8 +94,8 @@ class Robot:
             raise RobotError(f"robot {self.name!r} has no moving joints; eos_pin needs at least one")
         if self.n > MOST_JOINTS:
             raise RobotError(
-                f"robot {self.name!r} has {self.n} joints, for which Pinocchio's workspace would take "
-                f"{64e-9 * self.n**3:.0f} GB; up to {MOST_JOINTS} are possible. Lock some, or load one chain"
+                f"robot {self.name!r} has {self.n} joints; up to {MOST_JOINTS} are possible. Lock some, or load one "
+                "chain"
             )
         for i, joint in enumerate(self.model.joints):
             if i and (joint.nq, joint.nv) != (1, 1):
@@ -214,11 +215,11 @@ class Robot:
 
     @cached_property
     def _data(self) -> pin.Data:
-        return self.model.createData()
+        return workspace(self.model)
 
     def mass(self, q: JointVector) -> Float[Array, "n n"]:
         """Mass matrix M(q), symmetric; Eq. (5)."""
-        M = pin.crba(self.model, self._data, q)
+        M = pin.crba(self.model, self._data, q, pin.Convention.WORLD)
         return np.triu(M) + np.triu(M, 1).T
 
     def bias(self, q: JointVector, dq: JointVector) -> JointVector:

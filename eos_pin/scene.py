@@ -22,6 +22,7 @@ from eos_pin.clearance import Obstacle
 from eos_pin.errors import InputError
 from eos_pin.meshes import Mesh, link_meshes, mesh_file, skeleton, solid_mesh
 from eos_pin.robot import Robot
+from eos_pin.workspace import workspace
 
 #: Points that a drawn path keeps at most.
 PATH_POINTS = 2000
@@ -59,7 +60,7 @@ class Scene:
     def poses(self, t: float, q: JointVector) -> Float[np.ndarray, "bodies 7"]:
         """Position [m] and quaternion (x, y, z, w) of each body: joints in the order of q, then obstacles."""
         model = self.robot.model
-        data = model.createData()
+        data = workspace(model)
         pin.forwardKinematics(model, data, q)
         placements = [data.oMi[i] for i in range(1, model.njoints)] + [o.at(t) for o in self.obstacles]
         return np.array([pin.SE3ToXYZQUAT(placement) for placement in placements])

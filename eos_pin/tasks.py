@@ -20,6 +20,7 @@ from jaxtyping import Float
 from eos_pin.arrays import Array, Jacobian, JointVector, TaskVector, vector
 from eos_pin.errors import InputError, UnknownNameError
 from eos_pin.robot import Robot
+from eos_pin.workspace import workspace
 
 #: A flat task point, `Task.size` numbers.
 Point: TypeAlias = Float[np.ndarray, " size"]
@@ -82,7 +83,7 @@ class Task(ABC):
         self.m = len(self.labels)
         self.size = self.m if size is None else size
         self._model = robot.model
-        self._data = robot.model.createData()
+        self._data = workspace(robot.model)
         self._rest = np.zeros(robot.n)
         if self.m > robot.n:
             raise InputError(
@@ -103,9 +104,9 @@ class Task(ABC):
 
     def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
         """Task point, Jacobian, velocity and drift at the state (q, dq)."""
-        data = self._data
-        pin.forwardKinematics(self._model, data, q, dq, self._rest)
-        pin.computeJointJacobians(self._model, data)
+        model, data = self._model, self._data
+        pin.forwardKinematics(model, data, q, dq, self._rest)
+        pin.computeJointJacobians(model, data)
         J = self._matrix(self._J(data))
         return TaskPoint(self._z(data), J, J.dot(dq), self._drift(data))
 

@@ -108,21 +108,48 @@ class Harmonic(Trajectory):
         object.__setattr__(self, "center", readonly(center))
 
     @cached_property
-    def _terms(self) -> tuple[list[float], Array, Array]:
-        """Angular frequencies; (z, dz, ddz) side by side for each of sin ωt, cos ωt, sin 2ωt and so on, and at rest."""
+    def waves(self) -> Waves:
+        """The sum in the form in which it is computed."""
         frequencies = [math.tau * (k + 1) / self.period for k in range(len(self.sines))]
-        rows: list[Array] = []
+        z, dz, ddz = [], [], []
         for omega, a, b in zip(frequencies, self.sines, self.cosines, strict=True):
-            rows += [np.concatenate((a, -omega * b, -(omega**2) * a)), np.concatenate((b, omega * a, -(omega**2) * b))]
-        at_rest = np.concatenate((self.center, np.zeros(2 * self.center.size)))
-        return frequencies, np.reshape(rows, (len(rows), at_rest.size)), at_rest
+            z += [a, b]
+            dz += [-omega * b, omega * a]
+            ddz += [-(omega**2) * a, -(omega**2) * b]
+        rest = np.zeros(self.center.size)
+        return Waves(
+            self.phase, frequencies, np.array([*z, self.center]), np.array([*dz, rest]), np.array([*ddz, rest])
+        )
 
     def __call__(self, t: float) -> Target:
-        frequencies, rows, at_rest = self._terms
-        waves = [wave(omega * (t + self.phase)) for omega in frequencies for wave in (math.sin, math.cos)]
-        together = np.array(waves).dot(rows) + at_rest
-        m = self.center.size
-        return Target(together[:m], together[m : 2 * m], together[2 * m :])
+        return self.waves(t)
+
+
+class Waves:
+    """Targets that are linear in sin ωt, cos ωt, sin 2ωt and so on, and 1: one product for z, dz and ddz together.
+
+    Args:
+        phase: Time by which the start is ahead [s].
+        frequencies: ω, 2ω and so on [rad/s].
+        z: Coefficients of z, a row for each of sin ωt, cos ωt, sin 2ωt and so on, and for 1.
+        dz: Those of dz.
+        ddz: Those of ddz.
+    """
+
+    def __init__(self, phase: float, frequencies: list[float], z: Array, dz: Array, ddz: Array) -> None:
+        self.phase, self.frequencies, self.blocks = phase, frequencies, (z, dz, ddz)
+        self._rows = np.hstack(self.blocks)
+        self._cuts = z.shape[1], z.shape[1] + dz.shape[1]
+
+    def __call__(self, t: float) -> Target:
+        t = t + self.phase
+        waves: list[float] = []
+        for omega in self.frequencies:
+            waves += math.sin(omega * t), math.cos(omega * t)
+        waves.append(1.0)
+        together = np.array(waves).dot(self._rows)
+        i, j = self._cuts
+        return Target(together[:i], together[i:j], together[j:])
 
 
 def line(center: VectorLike, stroke: VectorLike, *, period: float) -> Harmonic:
@@ -330,8 +357,21 @@ class StackedTrajectory(Trajectory):
         object.__setattr__(self, "duration", max(part.duration for part in self.parts))
 
     def __call__(self, t: float) -> Target:
+        if self._waves is not None:
+            return self._waves(t)
         z, dz, ddz = zip(*(part(t) for part in self.parts), strict=True)
         return Target(np.concatenate(z), np.concatenate(dz), np.concatenate(ddz))
+
+    @cached_property
+    def _waves(self) -> Waves | None:
+        """All parts in one, where one of them moves and the others are at rest; the everyday case."""
+        moving = [part for part in self.parts if not isinstance(part, Hold)]
+        if len(moving) != 1 or not isinstance(moving[0], Harmonic):
+            return None
+        own = moving[0].waves
+        one = np.eye(len(own.blocks[0]))[:, -1]
+        parts = [own.blocks if p is moving[0] else [np.outer(one, row) for row in p(0.0)] for p in self.parts]
+        return Waves(own.phase, own.frequencies, *map(np.hstack, zip(*parts, strict=True)))
 
 
 def _in_plane(point: VectorLike, plane: str) -> tuple[Array, tuple[Array, Array]]:

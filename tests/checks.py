@@ -98,6 +98,22 @@ def random_chain(seed):
     return eos_pin.Robot(model)
 
 
+@cache
+def long_chain(n):
+    """n equal rods in the plane of gravity, 2 m and 2 kg in all; frame `tip`."""
+    model, joint, link = pin.Model(), 0, 2.0 / n
+    model.name, model.gravity = f"long_chain_{n}", pin.Motion(np.array([0.0, -9.81, 0.0]), np.zeros(3))
+    for i in range(n):
+        placement = pin.SE3(np.eye(3), np.array([link if i else 0.0, 0.0, 0.0]))
+        joint = model.addJoint(joint, pin.JointModelRZ(), placement, f"joint_{i + 1}")
+        middle = pin.SE3(np.eye(3), np.array([0.5 * link, 0.0, 0.0]))
+        model.appendBodyToJoint(joint, pin.Inertia.FromBox(2.0 / n, link, 0.02, 0.02), middle)
+    tip = pin.SE3(np.eye(3), np.array([link, 0.0, 0.0]))
+    model.addFrame(pin.Frame("tip", joint, 0, tip, pin.FrameType.OP_FRAME))
+    model.lowerPositionLimit, model.upperPositionLimit = np.full(n, -np.inf), np.full(n, np.inf)
+    return eos_pin.Robot(model)
+
+
 def is_planar(robot):
     """Whether all revolute joints turn about the world's z axis."""
     try:

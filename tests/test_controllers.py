@@ -19,6 +19,7 @@ from eos_pin import (
     Damp,
     EosController,
     ExtendedDynamics,
+    Harmonic,
     Hold,
     InputError,
     OpenLoop,
@@ -109,6 +110,40 @@ def test_an_exact_model_obeys(name, data):
     M = controller.robot.mass(point.q)
     tolerance = exact(point.H_inverse, M, scale=np.linalg.norm(F) + np.linalg.norm(point.E))
     np.testing.assert_allclose(found, F, rtol=0.0, atol=tolerance)
+
+
+@pytest.mark.parametrize("feedforward", [True, False])
+@pytest.mark.parametrize("moving", [True, False])
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_tracking_law_is_the_readable_form(name, moving, feedforward):
+    known = example(name)
+    r = known.robot.n - known.task.m
+    v_d = Harmonic(np.zeros(r), np.full((1, r), 0.1), np.full((1, r), 0.2), 4.0) if moving else np.full(r, 0.1)
+    track = Track(v_d, kp=50.0, kd=np.linspace(5.0, 10.0, r)) if r else None
+    controller = EosController(known.task, known.reference, track, kp=known.kp, feedforward=feedforward)
+    random = np.random.default_rng(3)
+    memory = controller.start(0.0, *random_state(controller.robot, random))
+    for t in (0.0, 0.7, 2.0):
+        q, dq = random_state(controller.robot, random)
+        point = controller.task.at(q, dq)
+        plain = controller.asked(t, q, dq, memory.chart, point)
+        np.testing.assert_allclose(memory.law(t, q, dq, point), plain, atol=EXACT * (1.0 + np.abs(plain).max()))
+
+
+def test_a_law_of_ones_own_is_used(panda):
+    """A subclass that changes the task's law, and self-motion that is not tracked, have no ready product."""
+
+    class Lazy(EosController):
+        def task_acceleration(self, t, point):
+            return 0.0 * point.dz
+
+    q, dq = random_state(panda, seed=7)
+    task = PositionTask(panda, tip(panda))
+    controller = Lazy(task, Hold(task.value(q) + 0.1))
+    tau = ControlLoop(controller).step(0.0, q, 0.0 * dq)
+    ddq = panda.forward_dynamics(q, 0.0 * dq, tau)
+    np.testing.assert_allclose(task.linearize(q)[1] @ ddq, 0.0, atol=1e-9)
+    assert EosController(task, Hold(task.value(q)), Damp()).start(0.0, q, dq).law is None
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -44,6 +44,8 @@ def test_a_clock_that_runs_backwards_is_refused(loop: ControlLoop) -> None:
         loop.step(0.5, REST, STILL)
     with pytest.raises(StateError, match="time"):
         loop.step(float("nan"), REST, STILL)
+    with pytest.raises(StateError, match="time"):
+        loop.step(float("inf"), REST, STILL)
     loop.step(1.0, REST, STILL)
     loop.reset()
     loop.step(0.0, REST, STILL)
@@ -71,6 +73,14 @@ def test_torques_are_cut_at_the_limits_and_say_so(panda: Robot) -> None:
     free = ControlLoop(EosController(task, far, kp=1e4), torque_limits=False)
     assert (np.abs(free.step(0.0, REST, STILL)) > panda.effort).any()
     assert not free.saturated
+
+
+@pytest.mark.parametrize("limits", [True, False])
+def test_a_torque_that_is_not_finite_never_leaves_the_loop(limits: bool) -> None:
+    loop = ControlLoop(OpenLoop(lambda t: [1.0, np.nan if t > 0.0 else 2.0]), torque_limits=limits)
+    loop.step(0.0, [0.0, 0.0], [0.0, 0.0])
+    with pytest.raises(StateError, match=r"OpenLoop has no finite torque at t = 1.0 s"):
+        loop.step(1.0, [0.0, 0.0], [0.0, 0.0])
 
 
 def test_lists_and_a_controller_without_robot_are_welcome() -> None:

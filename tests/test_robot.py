@@ -236,6 +236,6 @@ def test_robots_that_cannot_be_controlled_are_refused():
         Robot(double)
 
 
-def test_too_many_joints_are_refused_before_memory_runs_out():
-    with pytest.raises(RobotError, match="GB"):
+def test_too_many_joints_are_refused():
+    with pytest.raises(RobotError, match="joints; up to"):
         Robot(chain(MOST_JOINTS + 1))
