@@ -303,7 +303,7 @@ class Chart:
         Raises:
             InverseError: Not even a short step towards (z, v) converges: the chart ends before. It has the residual.
         """
-        start = start or Inverse(self.q_bar, np.zeros(self.m), self.B_bar, 0, 0.0)
+        start = start or self._base
         found = self._newton(z, v, start, refresh=refresh, tol=tol, max_iterations=max_iterations)
         if found.residual <= tol:
             return found
@@ -331,6 +331,11 @@ class Chart:
                 iterations,
             )
         return current._replace(iterations=iterations)
+
+    @cached_property
+    def _base(self) -> Inverse:
+        """The base point, from where a solve starts if nothing nearer is known."""
+        return Inverse(self.q_bar, np.zeros(self.m), self.B_bar, 0, 0.0)
 
     def _newton(self, z: Point, v: SelfMotionVector, start: Inverse, **settings: Any) -> Inverse:
         return newton(self.task, self.q_bar + self.basis.apply(v - self.v_bar), self.U, z, start, **settings)

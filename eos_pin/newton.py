@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import lapack
 
-from eos_pin.arrays import Array, JointVector, SelfMotionVector, TaskVector
+from eos_pin.arrays import Array, JointVector, SelfMotionVector, TaskVector, readonly
 from eos_pin.linear import is_odd
 from eos_pin.tasks import Point, Task
 
@@ -58,7 +59,7 @@ def newton(
     """
     u, B, last = start.u, start.B, math.inf
     q = base - U.dot(u)
-    identity = np.eye(task.m, order="F") if refresh else None
+    identity = _identity(task.m)
     for iteration in range(max_iterations + 1):
         if refresh:
             z_q, J = task.linearize(q)
@@ -78,6 +79,12 @@ def newton(
         u = u + B.dot(error)
         q = base - U.dot(u)
     return Inverse(q, u, B, iteration, residual if residual == residual else math.inf)
+
+
+@cache
+def _identity(m: int) -> Float[Array, "m m"]:
+    """Right side of the solve for B, in the order LAPACK wants."""
+    return readonly(np.eye(m)).T
 
 
 def walk(

@@ -109,10 +109,11 @@ class PoseTask(Task, kind="pose"):
             if array.shape != (4, 4):
                 array = vector(array, 12, f"{name}, a pin.SE3, a 4 × 4 matrix or a flat point,")
                 return np.concatenate((array[:3], _rotation(array[3:], name)))
-            if not np.array_equal(array[3], [0.0, 0.0, 0.0, 1.0]):
+            if array[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
                 raise InputError(f"the last row of {name} must be 0, 0, 0, 1, got {array[3].tolist()}")
-            value = pin.SE3(np.ascontiguousarray(array[:3, :3]), array[:3, 3].copy())
-        return np.concatenate((vector(value.translation, 3, name), _rotation(value.rotation, name)))
+        else:
+            array = value.homogeneous
+        return np.concatenate((vector(array[:3, 3], 3, name), _rotation(array[:3, :3], name)))
 
 
 class HeadingTask(Task, kind="heading"):
@@ -157,7 +158,8 @@ def _rotation(value: PointLike, name: str) -> Vector:
         InputError: Not 9 numbers, or not orthonormal to 1e-6.
     """
     R = vector(numbers(value, f"the rotation of {name}").ravel(), 9, f"the rotation of {name}").reshape(3, 3)
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
+    E = R.T.dot(R) - np.eye(3)
+    if np.abs(E).max() > 1e-6 or np.linalg.det(R) < 0.0:
         raise InputError(f"the rotation of {name} must be a 3 × 3 matrix with orthonormal columns and determinant 1")
-    X, _, Yt = np.linalg.svd(R)
-    return (X @ Yt).ravel()
+    # R (RᵀR)^(−1/2), the nearest rotation, by its series to order E².
+    return (R - R.dot(0.5 * E - 0.375 * E.dot(E))).ravel()
