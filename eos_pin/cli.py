@@ -6,25 +6,37 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tyro
 
 from eos_pin.arrays import JointVector, vector
-from eos_pin.atlas import Atlas
-from eos_pin.charts import Chart
 from eos_pin.errors import EosError, InputError, SingularError
 from eos_pin.files import write_atomically
 from eos_pin.library import available_robots
-from eos_pin.loading import leaf_frames
 from eos_pin.options import ControllerName, ControlOptions, PathOptions, RobotOptions, RunOptions, TaskOptions
-from eos_pin.recording import joint_run
-from eos_pin.report import Output, console, deliver, figure, grid, run_table, scene_of, show, stderr, write_json
-from eos_pin.results import Result
-from eos_pin.robot import Robot
-from eos_pin.tasks import Task
-from eos_pin.trajectories import spline_from_csv
+from eos_pin.report import (
+    Output,
+    console,
+    deliver,
+    figure,
+    grid,
+    run_table,
+    say_files,
+    scene_of,
+    show,
+    stderr,
+    watched,
+    write_json,
+)
+from eos_pin.sweeping import sweep
+
+# What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
+if TYPE_CHECKING:
+    from eos_pin.results import Result
+    from eos_pin.robot import Robot
+    from eos_pin.tasks import Task
 
 
 def track(
@@ -51,12 +63,14 @@ def track(
     reference = path.make(goal, q)
     controller = control.make(goal, reference, q, simulation.period)
     title = f"{machine.name}, {task.task}"
-    result = simulation.run(machine, controller, q, path.length(reference), output, title)
+    duration = path.length(reference)
+    with watched(output, machine, q, duration, title) as observer:
+        result = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer)
     names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
     files = output.within(Path("runs") / f"{Path(robot.robot).stem}-{task.task}", names=names)
     summary = result.summary()
     console.print(run_table(summary))
-    _say_files(deliver(files, result, machine))
+    say_files(deliver(files, result, machine))
     return 0 if result.ok else 1
 
 
@@ -96,7 +110,8 @@ def compare(
     results: dict[str, Result] = {}
     for kind in controllers:
         controller = ControlOptions(kind).make(goal, reference, q, simulation.period)
-        results[kind] = simulation.run(machine, controller, q, duration, output, f"{machine.name}: {kind}")
+        with watched(output, machine, q, duration, f"{machine.name}: {kind}") as observer:
+            results[kind] = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer)
     summaries = {name: result.summary() for name, result in results.items()}
     rows = []
     for name, summary in summaries.items():
@@ -121,7 +136,7 @@ def compare(
     written = [result.save(files.out / f"{name}.npz") for name, result in results.items() if files.out]
     first = results[controllers[0]]
     wanted = replace(files, out=None)
-    _say_files(written + deliver(wanted, first, machine, figures=summaries, plot=plots.comparison(results)))
+    say_files(written + deliver(wanted, first, machine, figures=summaries, plot=plots.comparison(results)))
     return 0 if first.ok else 1
 
 
@@ -133,6 +148,9 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
       eos-pin info panda
       eos-pin info path/to/robot.urdf --frame tool0 --task pose
     """
+    from eos_pin.charts import Chart
+    from eos_pin.loading import leaf_frames
+
     machine = robot.load()
     goal, q = task.make(machine)
     z, J = goal.linearize(q)
@@ -173,7 +191,7 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
         "leaf_frames": leaf_frames(machine),
         "notes": machine.notes,
     }
-    _say_files(_still(output, machine, goal, q, figures))
+    say_files(_still(output, machine, goal, q, figures))
     return 0
 
 
@@ -201,6 +219,10 @@ def ik(
       eos-pin ik panda --task pose --v 0.3 --view
       eos-pin ik panda --path path.csv --csv joints.csv
     """
+    from eos_pin.atlas import Atlas
+    from eos_pin.recording import joint_run
+    from eos_pin.trajectories import spline_from_csv
+
     machine = robot.load()
     goal, q = task.make(machine)
     r = machine.n - goal.m
@@ -254,7 +276,7 @@ def ik(
     written += deliver(replace(output, csv=None), result, machine, figures=figures)
     if output.view:
         show(scene_of(result, machine), result)
-    _say_files(written)
+    say_files(written)
     return 0 if found.complete else 1
 
 
@@ -270,12 +292,14 @@ def replay(run: tyro.conf.Positional[Path], output: Output = Output()) -> int:
       eos-pin replay runs/panda-position/run.npz
       eos-pin replay runs/panda-position/run.npz --html panda.html --plot panda.pdf
     """
+    from eos_pin.results import Result
+
     result = Result.load(run)
     robot = result.load_plant()
     console.print(run_table(result.summary()))
     files = output.within(None, names={"html": "replay.html", "plot": "overview.png", "json": "summary.json"})
     written = deliver(replace(files, out=None), result, robot)
-    _say_files(written)
+    say_files(written)
     if output.view or not written:
         show(scene_of(result, robot), result)
     return 0
@@ -301,7 +325,7 @@ def robots(name: tyro.conf.Positional[str] = "", output: Output = Output()) -> i
     console.print(grid("", ("name", "file"), [(robot.name, robot.path.name) for robot in found]))
     files = output.within(None, names={"json": "robots.json"})
     if files.json:
-        _say_files([write_json(files.json, {"robots": [{"name": r.name, "path": r.path} for r in found]})])
+        say_files([write_json(files.json, {"robots": [{"name": r.name, "path": r.path} for r in found]})])
     return 0
 
 
@@ -316,14 +340,14 @@ def run(command: Callable[..., int], argv: Sequence[str] | None = None) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command `eos-pin`."""
-    commands = {f.__name__: f for f in (track, compare, info, ik, replay, robots)}
+    commands = {f.__name__: f for f in (track, compare, sweep, info, ik, replay, robots)}
     return _guarded(
         lambda: tyro.extras.subcommand_cli_from_dict(
             commands,
             prog="eos-pin",
             description="Extended operational space control of redundant robots, on any URDF.",
             args=argv,
-            config=_STYLE,
+            config=(*_STYLE, tyro.conf.PositionalRequiredArgs, tyro.conf.FlagCreatePairsOff),
         )
     )
 
@@ -349,11 +373,6 @@ def _escaped(text: str) -> str:
     return text.replace("[", r"\[")
 
 
-def _say_files(files: Sequence[Path]) -> None:
-    if files:
-        console.print("Wrote " + ", ".join(str(file) for file in files), soft_wrap=True)
-
-
 def _whole(task: Task, z: np.ndarray, z0: np.ndarray) -> np.ndarray:
     """Task point whose leading coordinates are z, the others those of z0."""
     if z.size > task.size:
@@ -363,6 +382,8 @@ def _whole(task: Task, z: np.ndarray, z0: np.ndarray) -> np.ndarray:
 
 def _still(output: Output, robot: Robot, task: Task, q: JointVector, figures: dict[str, Any]) -> list[Path]:
     """Files that show a robot at rest."""
+    from eos_pin.recording import joint_run
+
     files = output.within(None, names={"json": "info.json", "html": "robot.html", "plot": "robot.png"})
     result = joint_run(task, np.zeros(1), q[None], task.value(q)[None])
     written = deliver(replace(files, out=None), result, robot, figures=figures)

@@ -1,30 +1,25 @@
-"""Groups of command-line options, and what each makes of them."""
+"""A run in plain values: groups of options, as the command line has them, and what each makes of them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import tyro
 
 from eos_pin.arrays import JointVector, number, vector
-from eos_pin.atlas import Atlas
-from eos_pin.baselines import BASELINES
-from eos_pin.controllers import Controller, EosController
 from eos_pin.errors import InputError
-from eos_pin.limits import LimitedEosController
-from eos_pin.loading import Payload, Tool, load_robot
-from eos_pin.mujoco_plant import MujocoPlant
-from eos_pin.objectives import Damp, Objective, Posture, ReduceKineticEnergy, Track
-from eos_pin.presets import fitting_path, make_task, rest_posture
-from eos_pin.report import Output, watched
-from eos_pin.results import Result
-from eos_pin.robot import Robot
-from eos_pin.simulation import SensorNoise, simulate, simulate_sampled
-from eos_pin.tasks import Task
-from eos_pin.trajectories import Harmonic, Hold, StackedTrajectory, Trajectory, spline_from_csv
+
+# Everything else is imported where it is used, so that `eos-pin --help` does not wait for it.
+if TYPE_CHECKING:
+    from eos_pin.controllers import Controller
+    from eos_pin.objectives import Objective
+    from eos_pin.recording import Observer
+    from eos_pin.results import Result
+    from eos_pin.robot import Robot
+    from eos_pin.tasks import Task
+    from eos_pin.trajectories import Trajectory
 
 ControllerName = Literal[
     "eos",
@@ -52,7 +47,7 @@ class RobotOptions:
         payload: Mass carried at the frame [kg].
     """
 
-    robot: tyro.conf.Positional[str]
+    robot: str
     frame: str = ""
     lock: tuple[str, ...] = ()
     package_dirs: tuple[Path, ...] = ()
@@ -62,6 +57,8 @@ class RobotOptions:
 
     def load(self) -> Robot:
         """Load the chain from the base to the frame."""
+        from eos_pin.loading import Payload, Tool, load_robot
+
         options: dict[str, Any] = {"lock": self.lock, "package_dirs": self.package_dirs, "gravity": self.gravity}
         robot = load_robot(self.robot, chain_to=self.frame or "auto", **options)
         frame = robot.options["chain_to"]
@@ -88,6 +85,8 @@ class TaskOptions:
 
     def make(self, robot: Robot) -> tuple[Task, JointVector]:
         """The task, and the joints to start from."""
+        from eos_pin.presets import make_task, rest_posture
+
         task = make_task(robot, self.task, frame=robot.options.get("chain_to", ""), axes=self.axes)
         return task, vector(self.q0, robot.n, "q0") if self.q0 else rest_posture(task)
 
@@ -114,6 +113,9 @@ class PathOptions:
 
     def make(self, task: Task, q: JointVector) -> Trajectory:
         """The path, through the task point at q unless a file says otherwise."""
+        from eos_pin.presets import fitting_path
+        from eos_pin.trajectories import Hold, StackedTrajectory, spline_from_csv
+
         if self.path.lower().endswith(".csv"):
             spline = spline_from_csv(self.path)
             width, z = spline(0.0).z.size, task.value(q)
@@ -163,6 +165,11 @@ class ControlOptions:
 
     def make(self, task: Task, reference: Trajectory, q: JointVector, period: float | None) -> Controller:
         """The controller, for a run with a control period [s], or None for a continuous one."""
+        from eos_pin.atlas import Atlas
+        from eos_pin.baselines import BASELINES
+        from eos_pin.controllers import EosController
+        from eos_pin.limits import LimitedEosController
+
         if self.controller in BASELINES:
             return BASELINES[self.controller](task, reference, q)
         atlas = Atlas(task, threshold=self.chart_margin)
@@ -174,6 +181,9 @@ class ControlOptions:
         return LimitedEosController(task, reference, law, period=period, kp=self.kp, kd=self.kd, atlas=atlas)
 
     def _law(self, task: Task, reference: Trajectory, q: JointVector) -> Objective:
+        from eos_pin.objectives import Damp, Posture, ReduceKineticEnergy, Track
+        from eos_pin.trajectories import Harmonic
+
         gains = {"kp": self.kp_self_motion, "kd": self.kd_self_motion}
         r = task.robot.n - task.m
         if self.self_motion == "posture":
@@ -215,7 +225,7 @@ class RunOptions:
     substeps: int = 1
     noise: float = 0.0
     delay: float = 0.0
-    torque_limits: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    torque_limits: bool = False
     model_error: float = 0.0
     method: Literal["DOP853", "LSODA", "RK45", "Radau", "BDF"] = "DOP853"
     rtol: float = 1e-9
@@ -223,9 +233,13 @@ class RunOptions:
     @property
     def period(self) -> float | None:
         """Control period of a sampled run [s]; None for a continuous one."""
-        if self.rate is None:
-            return 1e-3 if self.plant == "mujoco" else None
-        return 1.0 / number(self.rate, "the rate", above=0.0)
+        if self.rate is not None:
+            return 1.0 / number(self.rate, "the rate", above=0.0)
+        if self.plant == "mujoco":
+            return 1e-3
+        if self.noise or self.delay or self.torque_limits:
+            raise InputError("noise, delay and torque limits are those of a sampled run; add --rate 1000")
+        return None
 
     def run(
         self,
@@ -233,32 +247,32 @@ class RunOptions:
         controller: Controller,
         q: JointVector,
         duration: float,
-        output: Output,
-        title: str,
-        scene: Any = None,
+        *,
+        seed: int = 0,
+        observer: Observer | None = None,
     ) -> Result:
-        """Run the closed loop, with a progress bar and perhaps a live view."""
+        """Run the closed loop; `seed` is that of everything random."""
+        from eos_pin.mujoco_plant import MujocoPlant
+        from eos_pin.simulation import SensorNoise, simulate, simulate_sampled
+
         e = self.model_error
-        plant = robot.perturbed(mass=e, com=e, inertia=e, seed=output.seed) if e else robot
+        plant = robot.perturbed(mass=e, com=e, inertia=e, seed=seed) if e else robot
         plant = MujocoPlant.of(plant) if self.plant == "mujoco" else plant
         period = self.period
-        if period is None and (self.noise or self.delay or self.torque_limits):
-            raise InputError("noise, delay and torque limits are those of a sampled run; add --rate 1000")
-        with watched(output, robot, q, duration, title, scene) as observer:
-            if period is None:
-                return simulate(
-                    plant, controller, q, duration=duration, method=self.method, rtol=self.rtol, observer=observer
-                )
-            return simulate_sampled(
-                plant,
-                controller,
-                q,
-                duration=duration,
-                period=period,
-                substeps=self.substeps,
-                noise=SensorNoise(self.noise, 10.0 * self.noise) if self.noise else None,
-                delay=self.delay,
-                torque_limits=self.torque_limits,
-                seed=output.seed,
-                observer=observer,
+        if period is None:
+            return simulate(
+                plant, controller, q, duration=duration, method=self.method, rtol=self.rtol, observer=observer
             )
+        return simulate_sampled(
+            plant,
+            controller,
+            q,
+            duration=duration,
+            period=period,
+            substeps=self.substeps,
+            noise=SensorNoise(self.noise, 10.0 * self.noise) if self.noise else None,
+            delay=self.delay,
+            torque_limits=self.torque_limits,
+            seed=seed,
+            observer=observer,
+        )

@@ -11,10 +11,23 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from eos_pin.arrays import VectorLike
-from eos_pin.drawing import COLUMN, PAGE, add_axes, colors_of, draw_legend, shortened, style
+from eos_pin.arrays import Array, VectorLike
+from eos_pin.drawing import (
+    COLUMN,
+    LINES,
+    PAGE,
+    add_axes,
+    colors_of,
+    draw_legend,
+    draw_nothing,
+    shortened,
+    style,
+    use_decades,
+)
 from eos_pin.errors import EosError, InputError
 from eos_pin.files import write_atomically
 from eos_pin.keyframes import Obstacles, is_spatial, plot_key_frames
@@ -57,6 +70,7 @@ __all__ = [
     "plot_torques",
     "save",
     "style",
+    "sweep",
     "tracking",
 ]
 
@@ -176,6 +190,82 @@ def kinetic_energies(results: Mapping[str, Result]) -> Figure:
     plot_kinetic_energy(ax, results)
     draw_legend(ax, 3)
     return figure
+
+
+#: What the figure of a sweep shows: column of the table and label.
+SWEPT = {
+    "task_error_max": "task error [m, rad]",
+    "self_motion_error_max": "self-motion error [rad, m]",
+    "last_drift": "joint drift, last cycle [rad, m]",
+    "torque_max": "largest torque [N m, N]",
+}
+
+
+@style()
+def sweep(rows: Sequence[Mapping[str, Any]], over: Sequence[str]) -> Figure:
+    """Chief figures of many runs over one setting, a colour for each combination of the others.
+
+    Dots are medians of the runs that finished, bars hold all of these. The setting drawn along the axis is the one with
+    the most values; numbers come before words.
+
+    Args:
+        rows: What `eos_pin.sweep` returned.
+        over: Names of the settings that differ from run to run, besides the seed.
+    """
+    if not rows:
+        raise InputError("a figure of a sweep needs at least one run")
+    values = {name: list(dict.fromkeys(row[name] for row in rows)) for name in over or ["robot"]}
+    along = max(values, key=lambda name: (not isinstance(values[name][0], str), len(values[name])))
+    places, joined = values[along], not isinstance(values[along][0], str)
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        name = ", ".join(f"{_words(other)} {_words(row[other])}" for other in values if other != along)
+        groups.setdefault(name, []).append(row)
+    colors = LINES if len(groups) <= len(LINES) else colormaps["viridis"](np.linspace(0.0, 0.92, len(groups)))
+    figure = Figure((PAGE, 5.4), layout="constrained")
+    grid = figure.add_gridspec(2, 2)
+    for k, (column, label) in enumerate(SWEPT.items()):
+        ax = add_axes(figure, grid[divmod(k, 2)])
+        for i, (name, some) in enumerate(groups.items()):
+            x, low, middle, high = _spread(some, along, places, column)
+            x += 0.3 * ((i + 0.5) / len(groups) - 0.5)
+            ax.errorbar(
+                x,
+                middle,
+                (middle - low, high - middle),
+                fmt="o-" if joined else "o",
+                markersize=3,
+                linewidth=0.8,
+                color=colors[i],
+                label=shortened(name, 60),
+            )
+        if not any(np.size(line.get_xdata()) for line in ax.lines):
+            draw_nothing(ax, f"no {label.split(' [')[0]}")
+            continue
+        use_decades(ax)
+        ax.set_xticks(range(len(places)), [shortened(_words(place)) for place in places])
+        ax.set_xlim(-0.5, len(places) - 0.5)
+        ax.set_xlabel(_words(along))
+        ax.set_ylabel(label)
+    if len(groups) > 1:
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=2 if len(groups) > 3 else 1)
+    return figure
+
+
+def _spread(rows: Sequence[Mapping[str, Any]], along: str, places: Sequence[Any], column: str) -> Array:
+    """Place, least, median and largest of a figure, a column for each place that has one; (4, places)."""
+    found = []
+    for i, place in enumerate(places):
+        own = [row[column] for row in rows if row[along] == place and row["status"] == "finished"]
+        own = [x for x in own if x is not None]
+        if own:
+            found.append((i, min(own), np.median(own), max(own)))
+    return np.array(found, dtype=float).reshape(-1, 4).T
+
+
+def _words(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")
 
 
 def save(figure: Figure, path: str | Path) -> Path:

@@ -19,14 +19,14 @@ from rich.table import Table
 
 from eos_pin.arrays import JointVector
 from eos_pin.files import write_atomically
-from eos_pin.recording import Observer
-from eos_pin.results import Result
-from eos_pin.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from eos_pin.clearance import Obstacle
+    from eos_pin.recording import Observer
+    from eos_pin.results import Result
+    from eos_pin.robot import Robot
     from eos_pin.scene import Scene
 
 #: Where tables go; errors and progress go to stderr.
@@ -188,6 +188,12 @@ def write_json(path: Path, figures: Mapping[str, Any]) -> Path:
     text = json.dumps(_plain(figures), indent=2, allow_nan=False) + "\n"
     write_atomically(path, lambda file: file.write(text.encode()))
     return path
+
+
+def say_files(files: Sequence[Path]) -> None:
+    """Say on the terminal which files were written."""
+    if files:
+        console.print("Wrote " + ", ".join(str(file) for file in files), soft_wrap=True)
 
 
 def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:

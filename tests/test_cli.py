@@ -163,7 +163,7 @@ def test_bad_input_is_one_paragraph_and_code_2(words: list[str], told: str, caps
     assert "\n\n" not in said.err.strip()
 
 
-@pytest.mark.parametrize("command", ["track", "compare", "info", "ik", "replay", "robots"])
+@pytest.mark.parametrize("command", ["track", "compare", "sweep", "info", "ik", "replay", "robots"])
 def test_help_teaches_by_example(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main([command, "--help"])

@@ -1,0 +1,58 @@
+"""What starting costs: each module is imported when something of it is used, and not before."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+#: What takes time to import, from the lightest.
+HEAVY = ("numpy", "lxml", "pinocchio", "scipy.linalg", "scipy.integrate", "joblib", "tyro", "rich", "matplotlib")
+HEAVY += ("tornado", "meshcat", "trimesh", "yourdfpy", "mujoco", "pyarrow", "distributed")
+
+
+def loaded(code):
+    """Which of the heavy packages a process has imported after some code."""
+    code = f"import sys\n{code}\nprint(*[name for name in {HEAVY!r} if name in sys.modules], file=sys.stderr)"
+    run = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
+    return set(run.stderr.split())
+
+
+def test_importing_the_package_imports_nothing_else():
+    assert loaded("import eos_pin") == set()
+
+
+def test_a_control_loop_needs_no_more_than_the_dynamics():
+    code = """
+import numpy as np
+from eos_pin import ControlLoop, EosController, Hold, PositionTask, load_robot
+robot = load_robot("panda", chain_to="panda_hand_tcp")
+task = PositionTask(robot, "panda_hand_tcp")
+q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
+ControlLoop(EosController(task, Hold(task.value(q)))).step(0.0, q, 0.0 * q)
+"""
+    assert loaded(code) == {"numpy", "lxml", "pinocchio", "scipy.linalg"}
+
+
+@pytest.mark.parametrize("words", [["--help"], ["sweep", "--help"]])
+def test_help_does_not_wait_for_the_dynamics(words):
+    code = f"""
+from eos_pin.cli import main
+try:
+    main({words!r})
+except SystemExit:
+    pass
+"""
+    assert loaded(code) == {"numpy", "tyro", "rich"}
+
+
+def test_every_public_name_is_there():
+    import eos_pin
+
+    assert sorted(eos_pin.__all__, key=str.lower) == sorted(set(eos_pin.__all__), key=str.lower)
+    assert all(hasattr(eos_pin, name) for name in eos_pin.__all__)
+    assert set(eos_pin.__all__) <= set(dir(eos_pin))
+    assert {"Chart", "load_robot", "sweep"} <= set(eos_pin.__all__)
+    with pytest.raises(AttributeError, match="nobody"):
+        _ = eos_pin.nobody
