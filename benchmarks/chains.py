@@ -74,7 +74,7 @@ class Bench:
         self.chart = Chart.at(task, self.q)
         self.dq = random.normal(size=n) / n
         self.state = self.q + 0.01 * random.normal(size=n) / math.sqrt(n), self.dq
-        self.controller = EosController(task, Hold(self.chart.z_bar))
+        self.controller = EosController(task, Hold(self.chart.z_bar), smooth=False)
         turn = np.linspace(0.0, 4.0 * math.pi, 101)[1:]
         eight = self.chart.z_bar + np.column_stack((0.3 * np.sin(turn), 0.15 * np.sin(2.0 * turn)))
         self.path = [self.chart.inverse(z, self.chart.v_bar).q for z in eight]
@@ -144,7 +144,10 @@ def cpu(call: Callable[[], Any], at_least: float = 0.01) -> float:
 def exponent(joints: list[int], microseconds: list[float]) -> float:
     """Slope of log time over log n, from `LARGE` joints on."""
     large = [(math.log(n), math.log(t)) for n, t in zip(joints, microseconds, strict=True) if n >= LARGE]
-    return float(np.polyfit(*np.array(large).T, 1)[0]) if len(large) > 1 else math.nan
+    if len(large) < 2:
+        return math.nan
+    x, y = np.transpose(large)
+    return float(np.polyfit(x, y, 1)[0])
 
 
 def chains(

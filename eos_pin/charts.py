@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +19,7 @@ from scipy.linalg import lapack
 from eos_pin.arrays import Array, Jacobian, JointVector, SelfMotionVector, TaskVector, VectorLike, readonly, vector
 from eos_pin.bases import Basis, carried, null_basis
 from eos_pin.errors import ChartError, InverseError
-from eos_pin.linear import FADING, RANK_TOLERANCE, check_rank, fading_solve
+from eos_pin.linear import FADING, RANK_TOLERANCE, check_rank, fade, haste, iterated_inverse
 from eos_pin.newton import Inverse, newton, walk
 from eos_pin.tasks import Point, Task, TaskPoint
 
@@ -181,17 +180,7 @@ class Chart:
             if info:
                 raise ChartError(EDGE)
             return B
-        B = start
-        for _ in range(60):
-            product = GU @ B
-            error = np.abs(product - np.eye(self.m)).max()
-            if error <= tol:
-                return B
-            # Each iteration squares the residual, so one that is large will not come back.
-            if not error < 1e6:
-                break
-            B = 2.0 * B - B @ product  # Eq. (21)
-        raise ChartError(f"the iteration for B diverges from this start (residual {error:.3g}); solve directly instead")
+        return iterated_inverse(GU, start, tol=tol)
 
     def acceleration(self, J: Jacobian, task: TaskVector, self_motion: SelfMotionVector) -> JointVector:
         """Joint acceleration ddq with J ddq = `task` and Vᵀ ddq = `self_motion`.
@@ -202,65 +191,73 @@ class Chart:
         Raises:
             ChartError: [G'; Vᵀ] is singular.
         """
-        A, b, lifted = self._system(J, task, self_motion)
+        A, b, lifted = self._system(J, np.concatenate((task, self_motion)))
         _, _, x, info = lapack.dgesv(A, b)
         if info:
             raise ChartError(EDGE)
         return x if lifted is None else lifted + self._row_basis.dot(x)
 
-    def drive(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
+    def drive(self, J: Jacobian, F: JointVector, dq: JointVector, *, smooth: bool = True) -> tuple[JointVector, float]:
         """Joint acceleration of a control law: like `acceleration`, but bounded and continuous at task singularities.
 
-        Directions that are being lost fade out of the law and are braked; see `fading_solve`.
+        Directions of the task that are being lost fade out of the law and are braked; see `eos_pin.linear.fade`.
 
         Args:
             J: Jacobian G'(q).
             F: Acceleration asked of w = (z, v), the task's part without its drift, (n,).
             dq: Joint velocities, to be braked.
+            smooth: Whether they do; if not, this is `acceleration`.
 
         Returns:
             The acceleration, and a lower bound of the chart's margin that is got on the way, 0 where nothing is known.
+
+        Raises:
+            ChartError: [G'; Vᵀ] is singular, and nothing fades.
         """
         n, m = self.U.shape
-        if n > DENSE_SOLVE:
-            lifted = self.basis.apply(F[m:])
-            A, b, along = J.dot(self._row_basis), F[:m] - J.dot(lifted), self._row_basis.T.dot(dq)
-        else:
-            A, b, along = self._stacked, F, dq
-            A[:m] = J
+        A, b, lifted = self._system(J, F)
         LU, pivots, info = lapack.dgetrf(A)
         H, singular = lapack.dgetri(LU, pivots, overwrite_lu=1)
         # H = [U B, D] column by column; beyond DENSE_SOLVE it has no D.
         flat, cut = H.T.ravel(), m * b.size
         UB, D = flat[:cut], flat[cut:]
-        squares = D.dot(D)
-        # The least singular value is at least 1 / |H|, so the law never fades too late.
-        if info or singular or not UB.dot(UB) * self._longest + squares < FADING**-2:
-            metres = self._metres[: b.size]
-            x, margin = fading_solve(A / metres[:, None], b / metres, along), 0.0
-        else:
-            # The singular values of D are the inverse cosines of the angles that `margin` speaks of; all are at least
-            # 1, so the largest is at most what their squares leave beyond the others.
-            x, margin = H.dot(b), 1.0 / math.sqrt(max(squares - n + m + 1.0, 1.0))
-        return (x, margin) if b is F else (lifted + self._row_basis.dot(x), 0.0)
+        if info or singular or not UB.dot(UB) * self._longest * haste(dq) < FADING**-2:
+            # The least singular value of G' is at least 1 / |U B|, so the law never fades too late.
+            if smooth:
+                return self._faded(J, F, dq), 0.0
+            if info or singular:
+                raise ChartError(EDGE)
+        if lifted is not None:
+            return lifted + self._row_basis.dot(H.dot(b)), 0.0
+        # The singular values of D are the inverse cosines of the angles that `margin` speaks of; all are at least 1, so
+        # the largest is at most what their squares leave beyond the others.
+        return H.dot(b), 1.0 / math.sqrt(max(D.dot(D) - n + m + 1.0, 1.0))
 
-    def _system(
-        self, J: Jacobian, task: TaskVector, self_motion: SelfMotionVector
-    ) -> tuple[Array, Array, JointVector | None]:
-        """A and b of A x = b; x is the acceleration, for many joints its part beside V `self_motion`."""
-        n, m = self.U.shape
-        if n <= DENSE_SOLVE:
-            A, b = self._stacked.copy(order="F"), np.empty(n)
-            A[:m] = J
-            b[:m], b[m:] = task, self_motion
-            return A, b, None
-        lifted = self.basis.apply(self_motion)
-        return J.dot(self._row_basis), task - J.dot(lifted), lifted
+    def _faded(self, J: Jacobian, F: JointVector, dq: JointVector) -> JointVector:
+        """The acceleration of `drive` where the task may be singular."""
+        m, Q = self.m, self._row_basis
+        Y, c = fade(J / self._metres[:, None], F[:m] / self._metres, dq)
+        # Once more for the self-motion: a chart that is worn and cannot be renewed, and joints far too fast.
+        if self.n <= DENSE_SOLVE:
+            X, x = fade(np.vstack((Y, self.Vt)), np.concatenate((c, F[m:])), dq)
+            return X.T @ x
+        lifted = self.basis.apply(F[m:])
+        X, x = fade(Y @ Q, c - Y @ lifted, Q.T @ dq)
+        return lifted + Q @ (X.T @ x)
+
+    def _system(self, J: Jacobian, F: JointVector) -> tuple[Array, Array, JointVector | None]:
+        """A and b of A x = b; x is the acceleration that `F` asks for, for many joints its part beside V F_v."""
+        m = self.U.shape[1]
+        if F.size <= DENSE_SOLVE:
+            self._stacked[:m] = J
+            return self._stacked, F, None
+        lifted = self.basis.apply(F[m:])
+        return J.dot(self._row_basis), F[:m] - J.dot(lifted), lifted
 
     @cached_property
     def _metres(self) -> JointVector:
-        """Unit of each row of [G'; Vᵀ], so that singular values compare: metres are measured in reaches."""
-        return np.array([self.task.robot.reach if unit == "m" else 1.0 for unit in self.task.units] + [1.0] * self.r)
+        """Unit of each row of G', so that singular values compare: metres are measured in reaches."""
+        return np.array([self.task.robot.reach if unit == "m" else 1.0 for unit in self.task.units])
 
     @cached_property
     def _longest(self) -> float:
@@ -294,8 +291,8 @@ class Chart:
             z: Task point.
             v: Self-motion coordinates, (r,).
             start: A solution nearby; the base point by default.
-            refresh: Compute B anew in each iteration (best for long steps), or keep that of `start` as in Eq. (22)
-                (best for short steps along a path).
+            refresh: Compute B anew after the first step, wherever that pays (best for long steps), or keep that of
+                `start` as in Eq. (22) (best for short steps along a path).
             walking: Whether to walk where Newton's method does not converge at once.
             tol: Largest task error that is left [m, rad].
             max_iterations: Newton steps allowed at one point.
@@ -304,14 +301,14 @@ class Chart:
             InverseError: Not even a short step towards (z, v) converges: the chart ends before. It has the residual.
         """
         start = start or self._base
-        found = self._newton(z, v, start, refresh=refresh, tol=tol, max_iterations=max_iterations)
+        found = self._newton(z, v, start, refresh, tol, max_iterations)
         if found.residual <= tol:
             return found
         current, iterations = start, found.iterations
 
         def visit(z_next: Point, v_next: SelfMotionVector) -> bool:
             nonlocal current, iterations
-            trial = self._newton(z_next, v_next, current, refresh=True, tol=tol, max_iterations=max_iterations)
+            trial = self._newton(z_next, v_next, current, True, tol, max_iterations)
             iterations += trial.iterations
             if trial.residual > tol:
                 return False
@@ -337,8 +334,11 @@ class Chart:
         """The base point, from where a solve starts if nothing nearer is known."""
         return Inverse(self.q_bar, np.zeros(self.m), self.B_bar, 0, 0.0)
 
-    def _newton(self, z: Point, v: SelfMotionVector, start: Inverse, **settings: Any) -> Inverse:
-        return newton(self.task, self.q_bar + self.basis.apply(v - self.v_bar), self.U, z, start, **settings)
+    def _newton(
+        self, z: Point, v: SelfMotionVector, start: Inverse, refresh: bool, tol: float, max_iterations: int
+    ) -> Inverse:
+        base = self.q_bar + self.basis.apply(v - self.v_bar)
+        return newton(self.task, base, self.U, z, start, refresh, tol, max_iterations)
 
 
 @dataclass(frozen=True, eq=False)

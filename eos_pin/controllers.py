@@ -8,14 +8,15 @@ driver may evaluate `torque` at trial times and states, as an ODE solver does, w
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from eos_pin.arrays import Jacobian, JointVector, TaskVector, VectorLike, readonly, spread, vector
+from eos_pin.arrays import Jacobian, JointVector, SelfMotionVector, TaskVector, VectorLike, readonly, spread, vector
 from eos_pin.atlas import Atlas
 from eos_pin.charts import DENSE_SOLVE, Chart
 from eos_pin.errors import InputError, SingularError
@@ -23,6 +24,12 @@ from eos_pin.objectives import Objective, Track
 from eos_pin.robot import Robot
 from eos_pin.tasks import Task, TaskPoint
 from eos_pin.trajectories import Hold, Target, Trajectory
+
+#: Rate at which the acceleration that is carried over to the next chart is forgotten [1/s], and that for every radian
+#: per second of joint speed: it has to be gone before a fast robot is through with the chart.
+FORGETTING, PER_SPEED = 20.0, 10.0
+#: Time after which nothing is left of it to rounding [s].
+LONG_AGO = 40.0 / FORGETTING
 
 
 class Controller(ABC):
@@ -137,11 +144,15 @@ class EosMemory:
         chart: The chart it is on.
         number: How many charts came before it.
         law: The controller's law on this chart, where it has the form of a `TrackingLaw`.
+        since: Time from which the chart is used [s].
+        carried: What the self-motion acceleration lacked then to that on the chart before, (r,); None on the first.
     """
 
     chart: Chart
     number: int = 0
     law: TrackingLaw | None = None
+    since: float = 0.0
+    carried: SelfMotionVector | None = None
 
 
 class TrackingLaw:
@@ -196,6 +207,7 @@ class EosController(TaskController):
 
     Near a singularity of the task the direction that is being lost is given up by degrees and braked there, so that the
     torque stays bounded and continuous; it is taken up again as the rank returns. `given_up` says how much is lost.
+    Where the chart changes the torque is continuous, too: what the law then asks of v, it gets within 1/20 s.
 
     Args:
         task: The task.
@@ -206,6 +218,8 @@ class EosController(TaskController):
         feedforward: Whether dz and ddz of the reference are used.
         gravity: Whether the controller compensates gravity.
         atlas: Rule by which charts follow each other; by default that of `Atlas(task)`.
+        smooth: Whether the torque is kept bounded and continuous. Without, the law is the paper's to the last: it jumps
+            with dv where the chart changes, and ends where the task is singular.
     """
 
     def __init__(
@@ -219,8 +233,10 @@ class EosController(TaskController):
         feedforward: bool = True,
         gravity: bool = True,
         atlas: Atlas | None = None,
+        smooth: bool = True,
     ) -> None:
         super().__init__(task, reference, kp=kp, kd=kd, feedforward=feedforward, gravity=gravity)
+        self.smooth = smooth
         self.self_motion = self_motion or Track()
         self.atlas = atlas or Atlas(task)
         if self.atlas.task is not task:
@@ -253,9 +269,16 @@ class EosController(TaskController):
         self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint
     ) -> tuple[JointVector, float]:
         """H F* + E and a bound of the chart's margin; near a singularity of the task what `Chart.drive` makes of it."""
-        chart, law = memory.chart, memory.law
-        F = self.asked(t, q, dq, chart, point) if law is None else law(t, q, dq, point)
-        return chart.drive(point.J, F, dq)
+        F = self._asked(t, q, dq, memory, point)
+        if memory.carried is not None and t - memory.since < LONG_AGO:
+            rate = max(FORGETTING, PER_SPEED * math.sqrt(dq.dot(dq)))
+            F[point.dz.size :] += math.exp(rate * (memory.since - t)) * memory.carried
+        return memory.chart.drive(point.J, F, dq, smooth=self.smooth)
+
+    def _asked(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint) -> JointVector:
+        """`asked`, in the form in which it is computed fastest."""
+        law = memory.law
+        return self.asked(t, q, dq, memory.chart, point) if law is None else law(t, q, dq, point)
 
     def asked(self, t: float, q: JointVector, dq: JointVector, chart: Chart, point: TaskPoint) -> JointVector:
         """F* less the task's drift: (F_z − Ġ'dq, F_v), (n,); Eqs. (36), (45)."""
@@ -278,9 +301,17 @@ class EosController(TaskController):
 
     def update(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> EosMemory:
         try:
-            return self._memory(self.atlas.next(memory.chart, q), memory.number + 1)
+            chart = self.atlas.next(memory.chart, q)
         except SingularError:
             return memory
+        following = self._memory(chart, memory.number + 1)
+        if not self.smooth:
+            return following
+        # dv is another on the new chart, and so is what the law asks of it; the difference is forgotten by and by.
+        point = self.task.at(q, dq)
+        ddq, _ = self._drive(t, q, dq, memory, point)
+        F = self._asked(t, q, dq, following, point)
+        return replace(following, since=t, carried=chart.dv(ddq) - F[chart.m :])
 
     def step(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> tuple[JointVector, EosMemory]:
         point = self.task.at(q, dq)
@@ -302,6 +333,7 @@ class EosController(TaskController):
         return super().describe() | {
             "self_motion": type(self.self_motion).__name__,
             "threshold": self.atlas.threshold,
+            "smooth": self.smooth,
         }
 
     def self_motion_target(self, t: float, memory: EosMemory) -> Target | None:

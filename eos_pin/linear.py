@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import count
 from operator import ne
 
@@ -9,13 +10,15 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
-from eos_pin.arrays import Array, Jacobian, JointVector, Matrix, Vector
-from eos_pin.errors import SingularError
+from eos_pin.arrays import Array, Jacobian, JointVector, Matrix, TaskVector
+from eos_pin.errors import ChartError, SingularError
 
 #: G' counts as rank deficient where its smallest singular value falls below this fraction of the largest.
 RANK_TOLERANCE = 1e-7
 #: Below this singular value a direction fades out of a control law: 0.05 of the robot's reach per radian.
 FADING = 0.05
+#: Joint speed beyond which directions fade out earlier: the length of dq [rad/s or m/s].
+FAST = 10.0
 #: Rate at which motion in a direction that fades out is braked [1/s].
 BRAKING = 20.0
 
@@ -50,24 +53,51 @@ def null_space(J: Jacobian) -> Float[Array, "n r"]:
     return V
 
 
+def iterated_inverse(A: Matrix, B: Matrix, *, tol: float) -> Matrix:
+    """Inverse of A by products only, from an approximation B; Eq. (21).
+
+    Raises:
+        ChartError: The iteration does not converge from B.
+    """
+    for _ in range(60):
+        product = A @ B
+        error = np.abs(product - np.eye(len(A))).max()
+        if error <= tol:
+            return B
+        # Each iteration squares the residual, so one that is large will not come back.
+        if not error < 1e6:
+            break
+        B = 2.0 * B - B @ product
+    raise ChartError(f"the iteration for B diverges from this start (residual {error:.3g}); solve directly instead")
+
+
 def is_odd(LU: Array, pivots: Array) -> bool:
     """Whether the determinant of a factored matrix is negative."""
     negative, swapped = map((0.0).__gt__, LU.diagonal().tolist()), map(ne, pivots.tolist(), count())
     return (sum(negative) + sum(swapped)) % 2 == 1
 
 
-def fading_solve(A: Matrix, b: Vector, dq: JointVector) -> JointVector:
-    """Solution of A x = b that stays bounded and continuous where A loses rank, for accelerations of joints that move.
+def haste(dq: JointVector) -> float:
+    """Square of how many times faster than FAST the joints move; at least 1."""
+    return max(1.0, dq.dot(dq) / FAST**2)
 
-    A singular value s below ε = FADING counts as s/ε² instead of 1/s, so that its direction fades out, and braking
-    −BRAKING dq takes its place by the part 1 − s²/ε². Above ε this is the plain solution.
+
+def fade(J: Jacobian, b: TaskVector, dq: JointVector) -> tuple[Jacobian, TaskVector]:
+    """Y and c such that Y x = c says J x = b as far as it can without trouble, for accelerations x of joints that move.
+
+    The rows of Y are orthonormal, so that x = Yᵀ c is the solution where J is square. A singular value s of J below ε
+    counts as s/ε² instead of 1/s, so that its direction fades out, and braking −BRAKING dq takes its place by the part
+    1 − s²/ε²; above ε nothing is changed. So x is bounded and continuous where J loses rank. ε is FADING, and more for
+    joints that are already too fast: Coriolis terms grow with the square of their speed, and as ε² does so too, what
+    remains of them is bounded while the braking grows, so that no motion runs away.
 
     Args:
-        A: Square matrix, its rows weighted so that singular values compare.
+        J: Jacobian, its rows weighted so that singular values compare.
         b: Right side, weighted likewise.
         dq: Joint velocities.
     """
-    X, s, Yt = np.linalg.svd(A)
-    kept = np.minimum((s / FADING) ** 2, 1.0)
-    gain = np.minimum(s / FADING**2, 1.0 / np.maximum(s, FADING))
-    return Yt.T @ (gain * (X.T @ b) - (1.0 - kept) * BRAKING * (Yt @ dq))
+    X, s, Y = np.linalg.svd(J, full_matrices=False)
+    epsilon = FADING * math.sqrt(haste(dq))
+    kept = np.minimum((s / epsilon) ** 2, 1.0)
+    gain = np.minimum(s / epsilon**2, 1.0 / np.maximum(s, epsilon))
+    return Y, gain * (X.T @ b) - (1.0 - kept) * BRAKING * (Y @ dq)

@@ -278,7 +278,7 @@ def self_motion_tracking(*, cycles: int = 3, gravity: bool = True, rtol: float =
         rtol: Tolerance of the integrator.
     """
     setting = planar_robot(cycles=cycles, gravity=gravity)
-    loops = setting.loops({"eos": EosController(setting.task, setting.path)}, rtol)
+    loops = setting.loops({"eos": EosController(setting.task, setting.path, smooth=False)}, rtol)
     return Example("5.2", "EOS control that holds the self-motion", loops)
 
 
@@ -300,7 +300,7 @@ def kinetic_energy(
     setting = planar_robot(cycles=cycles, gravity=gravity)
     energy = ReduceKineticEnergy(setting.task.robot, gain, gradient)
     controllers: dict[str, Controller] = {
-        "eos": EosController(setting.task, setting.path, energy),
+        "eos": EosController(setting.task, setting.path, energy, smooth=False),
         "task-space-energy": TaskSpaceController(setting.task, setting.path, EnergyNullSpace(energy)),
         **setting.baselines("task-space", "null-space-damping", "null-space-posture"),
     }
@@ -326,7 +326,7 @@ def obstacle(
         raise InputError("l must not be 0: the rail would start in the obstacle")
     setting = planar_robot(cycles=cycles, gravity=gravity)
     law = DescendPotential(lambda q: np.array([0.0, -((offset + q[1]) ** -3), 0.0]), kd=damping)
-    loops = setting.loops({"eos": EosController(setting.task, setting.path, law)}, rtol)
+    loops = setting.loops({"eos": EosController(setting.task, setting.path, law, smooth=False)}, rtol)
     return Example("5.4", f"obstacle avoidance, l = {offset:g} m", loops)
 
 
@@ -354,8 +354,9 @@ def chain_eos(*, cycles: int = 3, rtol: float = 1e-9) -> Example:
     laws: dict[str, Objective | None] = {"eos": None, "F_v = 0": Damp(0.0)}
     for suffix, gravity in (("", False), (", gravity", True)):
         setting = planar_chain(cycles=cycles, gravity=gravity)
-        controllers = {name + suffix: EosController(setting.task, setting.path, law) for name, law in laws.items()}
-        loops |= setting.loops(controllers, rtol)
+        for name, law in laws.items():
+            controller = EosController(setting.task, setting.path, law, smooth=False)
+            loops |= setting.loops({name + suffix: controller}, rtol)
     return Example("6.2", "EOS control of the chain", loops)
 
 

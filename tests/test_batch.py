@@ -144,7 +144,7 @@ def test_inverse_kinematics_is_that_of_one_point_after_the_other(name):
     assert found.found.all()
     assert found.residual.max() <= checks.SOLVED
     expected = np.array([chart.inverse(*point).q for point in zip(z, v, strict=True)])
-    assert_same(found.q, expected)
+    np.testing.assert_allclose(found.q, expected, atol=1e-8)
     assert np.abs(found.q - known).max() < 1e-8
 
 
@@ -164,7 +164,7 @@ def test_what_is_far_or_out_of_reach_is_as_alone(panda):
                 chart.inverse(z[k], v[k])
             assert found.residual[k] == alone.value.residual
             continue
-        assert_same(found.q[k], chart.inverse(z[k], v[k]).q)
+        np.testing.assert_allclose(found.q[k], chart.inverse(z[k], v[k]).q, atol=1e-8)
         assert np.abs(task.value(found.q[k]) - z[k]).max() <= checks.SOLVED
         assert np.abs(chart.v(found.q[k]) - v[k]).max() <= 1e-9
 

@@ -177,14 +177,15 @@ def test_an_undamped_self_motion_runs_away_from_chart_to_chart(threshold, unchec
     # With ddv = 0 on each chart, dv is constant there; the joints move faster by 1 / margin. So the next chart begins
     # with dv larger by 1 / threshold, and is used up sooner by as much: infinitely many charts take a finite time.
     task = PositionTask(paper.planar_robot().task.robot, "tip", "xy")
-    controller = EosController(task, Hold([1.0, 0.0]), Damp(0.0), atlas=Atlas(task, threshold=threshold))
+    law = {"atlas": Atlas(task, threshold=threshold), "smooth": False}
+    controller = EosController(task, Hold([1.0, 0.0]), Damp(0.0), **law)
     start = 0.3 * np.array([0.0, -1.0, 1.0]) / math.sqrt(2.0)
     run = simulate(task.robot, controller, np.zeros(3), start, duration=40.0, rate=10.0)
     assert not run.ok
     lengths = np.diff(run.switches)[:6]
     assert np.abs(lengths[1:] / lengths[:-1] - threshold).max() < 1e-4
     assert run.t[-1] < run.switches[0] + lengths[0] / (1.0 - threshold) + 0.2
-    damped = EosController(task, Hold([1.0, 0.0]), Damp(1.0), atlas=Atlas(task, threshold=threshold))
+    damped = EosController(task, Hold([1.0, 0.0]), Damp(1.0), **law)
     assert simulate(task.robot, damped, np.zeros(3), start, duration=40.0, rate=10.0).ok
 
 
