@@ -3,6 +3,7 @@
 
 from .atlas import Atlas as Atlas
 from .atlas import JointPath as JointPath
+from .atlas import Reached as Reached
 from .avoidance import Avoidance as Avoidance
 from .baselines import BASELINES as BASELINES
 from .baselines import DampedNullSpace as DampedNullSpace

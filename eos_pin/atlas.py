@@ -6,9 +6,11 @@ v continues, Eq. (27), and carries chart-based inverse kinematics along a path, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from itertools import chain as chained
+from itertools import islice, pairwise
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -25,12 +27,19 @@ from eos_pin.arrays import (
     vector,
 )
 from eos_pin.charts import Chart
-from eos_pin.errors import InputError, InverseError
-from eos_pin.newton import Inverse, walk
-from eos_pin.tasks import Point, Task
+from eos_pin.errors import InputError, InverseError, SingularError
+from eos_pin.newton import Descent, Inverse, descend, walk
+from eos_pin.robot import Robot
+from eos_pin.tasks import Point, PointLike, Task
 
 #: Self-motion commanded along a path: constant, one row per point, or a function of the point's number.
 SelfMotionPath: TypeAlias = "VectorLike | Callable[[int], VectorLike]"
+
+#: How joints are reached: along the straight line in (z, v), by way of another point, or without a way there.
+Way: TypeAlias = Literal["walk", "detour", "jump"]
+WAYS: tuple[Way, ...] = ("walk", "detour", "jump")
+#: Detours that are tried.
+DETOURS = 4
 
 
 @dataclass(frozen=True)
@@ -61,6 +70,37 @@ class JointPath:
     def complete(self) -> bool:
         """Whether all points asked for were reached."""
         return not self.message
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Joints at a task point, found by `Atlas.reach`.
+
+    Attributes:
+        q: Joints; where none were found, the nearest ones.
+        way: How they are reached: `"walk"` and `"detour"` are continuous motions through charts, on which v keeps its
+            meaning; after a `"jump"` only the joints are known, and v starts anew with a chart based at them.
+        path: The motion from the start to q; None after a jump, and from a singular start.
+        residual: Task error that is left [m, rad].
+        within_limits: Whether q is within the joint limits.
+        message: Why no joints were found; empty where they were.
+    """
+
+    q: JointVector
+    way: Way
+    path: JointPath | None
+    residual: float
+    within_limits: bool
+    message: str = ""
+
+    @property
+    def found(self) -> bool:
+        """Whether q is at the task point."""
+        return not self.message
+
+    def merit(self, tol: float) -> tuple[bool, bool, float]:
+        """What makes one result better than another: found first, then limits, then the error left beyond `tol`."""
+        return self.found, self.within_limits, -max(self.residual, tol)
 
 
 @dataclass(frozen=True)
@@ -158,6 +198,124 @@ class Atlas:
             message=message,
         )
 
+    def reach(
+        self,
+        q: VectorLike,
+        z: PointLike,
+        *,
+        v: VectorLike | None = None,
+        chart: Chart | None = None,
+        ways: Sequence[Way] | None = None,
+        points: int = 1,
+        tries: int = 100,
+        seed: int = 0,
+        tol: float = 1e-10,
+    ) -> Reached:
+        """Joints at one task point, near or far.
+
+        First the straight line in (z, v) is walked, as `follow` does. Where a singularity or the edge of the robot's
+        reach is on it, detours lead through the task points of other postures. Where these fail too, or the joints end
+        beyond their limits, a search jumps to joints within them, from q and then from other postures. Joints beyond
+        their limits are the last resort, those that a motion leads to before others.
+
+        Args:
+            q: Joints to start from.
+            z: Task point, in any form that `Task.point` takes.
+            v: Self-motion coordinates there; by default their value at q. A jump cannot keep them.
+            chart: First chart; by default the one based at q, where v is 0.
+            ways: What is tried. By default all, but no jump where v is given; `["walk"]` finds only what is connected
+                along the straight line, `["jump"]` anything, and is quickest.
+            points: Points of the path that is returned, on each of its straight lines.
+            tries: Other postures to jump from.
+            seed: Which these are, and those that detours lead through; the same seed, the same joints.
+            tol: Largest task error that may be left [m, rad].
+
+        Raises:
+            InputError: Wrong shapes, or a way there is not.
+        """
+        q, z = vector(q, self.task.robot.n, "q"), self.task.point(z)
+        if ways is None:
+            ways = WAYS if v is None else WAYS[:2]
+        if not ways or not set(ways) <= set(WAYS):
+            raise InputError(f"ways must be some of {', '.join(WAYS)}, got {ways!r}")
+        v = None if v is None else vector(v, q.size - self.task.m, "v")
+        if points < 1 or tries < 0:
+            raise InputError(f"points must be at least 1 and tries at least 0, got {points} and {tries}")
+        best: Reached | None = None
+        for attempt in self._attempts(q, z, ways, tries, seed, tol, v=v, chart=chart, points=points):
+            if best is None or attempt.merit(tol) > best.merit(tol):
+                best = attempt
+            if best.found and best.within_limits:
+                break
+        assert best is not None
+        return best
+
+    def _attempts(
+        self, q: JointVector, z: Point, ways: Sequence[Way], tries: int, seed: int, tol: float, **motion: Any
+    ) -> Iterator[Reached]:
+        """What `reach` tries, one after the other."""
+        robot, moved = self.task.robot, False
+        if "walk" in ways:
+            yield (attempt := self._walk("walk", q, [z], tol, **motion))
+            moved = attempt.found
+        if "detour" in ways:
+            for posture in islice(_postures(robot, seed), DETOURS):
+                if moved:
+                    break
+                yield (attempt := self._walk("detour", q, [self.task.value(posture), z], tol, **motion))
+                moved = attempt.found
+        if "jump" in ways:
+            anything = np.full(robot.n, np.inf)
+            for bounds in ((robot.lower, robot.upper), (-anything, anything)):
+                yield self._jump(chained([q], islice(_postures(robot, seed), tries)), z, bounds, tol)
+                if moved:
+                    break
+
+    def _walk(
+        self,
+        way: Way,
+        q: JointVector,
+        corners: Sequence[Point],
+        tol: float,
+        *,
+        v: SelfMotionVector | None,
+        chart: Chart | None,
+        points: int,
+    ) -> Reached:
+        """Follow straight lines from q through the corners."""
+        task, z0 = self.task, self.task.value(q)
+        path = [z0] + [
+            task.plus(a, s * task.minus(b, a)) if s < 1.0 else b
+            for a, b in pairwise([z0, *corners])
+            for s in np.arange(1, points + 1) / points
+        ]
+        try:
+            chart = chart or self.start(q)
+            v0 = chart.v(q)
+            ways = v0 if v is None else v0 + np.linspace(0.0, 1.0, len(path))[:, None] * (v - v0)
+            found = self.follow(q, path, v=ways, chart=chart, tol=tol)
+        except SingularError as error:
+            return self._reached(q, way, None, corners[-1], str(error))
+        return self._reached(found.q[-1] if len(found.q) else q, way, found, corners[-1], found.message)
+
+    def _jump(
+        self, starts: Iterable[JointVector], z: Point, bounds: tuple[JointVector, JointVector], tol: float
+    ) -> Reached:
+        """Search from one posture after the other."""
+        best = Descent(np.empty(0), np.inf, 0)
+        for q in starts:
+            best = min(best, descend(self.task, q, z, bounds, tol=tol), key=lambda found: found.residual)
+            if best.residual <= tol:
+                return self._reached(best.q, "jump", None, z, "")
+        message = f"no posture that was tried leads there: it is out of reach, by {best.residual:.3g} or less"
+        return self._reached(best.q, "jump", None, z, message)
+
+    def _reached(self, q: JointVector, way: Way, path: JointPath | None, z: Point, message: str) -> Reached:
+        robot = self.task.robot
+        residual = float(np.abs(self.task.minus(self.task.value(q), z)).max())
+        within = bool(((q >= robot.lower) & (q <= robot.upper)).all())
+        return Reached(readonly(q), way, path, residual, within, message)
+
 
 class _Traveller:
     """Where a walk through the atlas stands: the chart, the joints, and how much work they took."""
@@ -220,3 +378,11 @@ def _self_motion(v: SelfMotionPath | None, start: SelfMotionVector, count: int) 
         return lambda k: values[k]
     constant = vector(values, r, "v")
     return lambda k: constant
+
+
+def _postures(robot: Robot, seed: int) -> Iterator[JointVector]:
+    """Postures drawn evenly from within the joint limits, and within a turn."""
+    random = np.random.default_rng(seed)
+    least, most = (np.clip(end, robot.lower, robot.upper) for end in (-np.pi, np.pi))
+    while True:
+        yield random.uniform(least, most)

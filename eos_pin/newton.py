@@ -1,4 +1,4 @@
-"""Newton's method for u = h(z, v), and walking to where it does not converge at once; Sec. 3.6."""
+"""Newton's method for u = h(z, v), walks to where it does not converge at once, search without charts; Sec. 3.6."""
 
 from __future__ import annotations
 
@@ -14,6 +14,13 @@ from scipy.linalg import lapack
 from eos_pin.arrays import Array, JointVector, SelfMotionVector, TaskVector, readonly
 from eos_pin.linear import is_odd
 from eos_pin.tasks import Point, Task
+
+#: Damping at the start of a search: μ in μ e·e; and what is always added, lest J Jᵀ be singular.
+DAMPING, FLOOR = 0.01, 1e-14
+#: Longest step of one joint in a search [rad or m].
+LONGEST = 1.0
+#: So many steps in a row that gain less than a tenth end a search.
+PATIENCE = 6
 
 
 class Inverse(NamedTuple):
@@ -40,7 +47,6 @@ def newton(
     U: Float[Array, "n m"],
     z: Point,
     start: Inverse,
-    *,
     refresh: bool,
     tol: float,
     max_iterations: int,
@@ -53,29 +59,31 @@ def newton(
         U: Directions of u, (n, m).
         z: Task point to reach.
         start: Where to begin: its u and its B.
-        refresh: Compute B anew in each iteration, or keep that of `start`.
+        refresh: Compute B anew for each step but the first, and but the last where it can do without; or keep that of
+            `start`.
         tol: Largest task error that may be left [m, rad].
         max_iterations: Most steps.
     """
-    u, B, last = start.u, start.B, math.inf
+    u, B, last, keep = start.u, start.B, math.inf, True
     q = base - U.dot(u)
     identity = _identity(task.m)
     for iteration in range(max_iterations + 1):
-        if refresh:
-            z_q, J = task.linearize(q)
-        else:
-            z_q = task.value(q)
+        z_q, J = (task.value(q), None) if keep else task.linearize(q)
         error = task.minus(z_q, z)
         residual = max(map(abs, error.tolist()))
         # A step that leads away has left the neighbourhood of convergence, perhaps the chart. NaN ends here too.
         if residual <= tol or not residual < last:
             break
-        last = residual
-        if refresh:
-            LU, pivots, B, info = lapack.dgesv(J.dot(U), identity)
+        # Once more with the same B the residual would fall by the same factor as before, to residual² / last.
+        if refresh and residual * residual > tol * last:
+            LU, pivots, B, info = lapack.dgesv((task.linearize(q)[1] if J is None else J).dot(U), identity)
             if info or is_odd(LU, pivots):
                 # det G'U > 0 at the base point, so it is positive on all of the chart.
                 return Inverse(q, u, start.B, iteration, math.inf)
+        # A step with a new B leads to about residual³ / last²; where the same B then does for one more, no Jacobian is
+        # needed there.
+        keep = not refresh or residual**5 <= tol * last**4 < math.inf
+        last = residual
         u = u + B.dot(error)
         q = base - U.dot(u)
     return Inverse(q, u, B, iteration, residual if residual == residual else math.inf)
@@ -122,3 +130,67 @@ def walk(
         else:
             step *= 0.5
     return reached
+
+
+class Descent(NamedTuple):
+    """Where a search ended.
+
+    Attributes:
+        q: Joints [rad or m].
+        residual: Task error that is left, the largest entry [m, rad].
+        iterations: Steps that were tried.
+    """
+
+    q: JointVector
+    residual: float
+    iterations: int
+
+
+def descend(
+    task: Task,
+    q: JointVector,
+    z: Point,
+    bounds: tuple[JointVector, JointVector],
+    *,
+    tol: float,
+    max_iterations: int = 60,
+) -> Descent:
+    """Joints at a task point, by Levenberg and Marquardt's method within bounds; it ends early where it gets stuck.
+
+    The step Jᵀ(J Jᵀ + μ e·e)⁻¹e, with e the error left, is Newton's shortest near a solution and a small one downhill
+    far away. Joints that it would push across their bounds stay where they are.
+
+    Args:
+        task: The task.
+        q: Where to begin.
+        z: Task point to reach.
+        bounds: Least and largest value of each joint.
+        tol: Largest task error that may be left [m, rad].
+        max_iterations: Most steps.
+    """
+    lower, upper = bounds
+    q = np.minimum(np.maximum(q, lower), upper)
+    z_q, J = task.linearize(q)
+    error = task.minus(z, z_q)
+    square, mu, slow, iteration = float(error.dot(error)), DAMPING, 0, 0
+    while max(map(abs, error.tolist())) > tol and iteration < max_iterations and slow < PATIENCE:
+        iteration += 1
+        uphill = J.T.dot(error)
+        stuck = (q <= lower) & (uphill < 0.0) | (q >= upper) & (uphill > 0.0)
+        free = np.where(stuck, 0.0, J) if stuck.any() else J
+        A = free.dot(free.T)
+        A.flat[:: task.m + 1] += mu * square + FLOOR
+        step = free.T.dot(lapack.dposv(A, error)[1])
+        longest = max(map(abs, step.tolist()))
+        if longest > LONGEST:
+            step *= LONGEST / longest
+        ahead = np.minimum(np.maximum(q + step, lower), upper)
+        z_q, J_ahead = task.linearize(ahead)
+        error_ahead = task.minus(z, z_q)
+        square_ahead = float(error_ahead.dot(error_ahead))
+        slow = 0 if square_ahead < 0.9 * square else slow + 1
+        if square_ahead < square:
+            q, J, error, square, mu = ahead, J_ahead, error_ahead, square_ahead, 0.25 * mu
+        else:
+            mu *= 8.0
+    return Descent(q, max(map(abs, error.tolist())), iteration)

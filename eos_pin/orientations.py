@@ -7,10 +7,14 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from eos_pin.arrays import Jacobian, TaskVector, Vector, numbers, vector
+from eos_pin.arrays import Jacobian, TaskVector, Vector, numbers, readonly, vector
 from eos_pin.errors import InputError
 from eos_pin.robot import Robot
 from eos_pin.tasks import WORLD, Point, PointLike, Task
+
+#: Where the entries of a flat pose are in a flat homogeneous matrix.
+_FLAT = np.array([3, 7, 11, 0, 1, 2, 4, 5, 6, 8, 9, 10])
+_IDENTITY = readonly(np.eye(3))
 
 
 class OrientationTask(Task, kind="orientation"):
@@ -76,11 +80,7 @@ class PoseTask(Task, kind="pose"):
         super().__init__(robot, ("x", "y", "z", "rx", "ry", "rz"), ["m"] * 3 + ["rad"] * 3, 12)
 
     def _z(self, data: pin.Data) -> Point:
-        matrix = pin.updateFramePlacement(self._model, data, self._id).homogeneous
-        z = np.empty(12)
-        z[:3] = matrix[:3, 3]
-        z[3:] = matrix[:3, :3].ravel()
-        return z
+        return pin.updateFramePlacement(self._model, data, self._id).homogeneous.ravel()[_FLAT]
 
     def _J(self, data: pin.Data) -> Jacobian:
         return pin.getFrameJacobian(self._model, data, self._id, WORLD)
@@ -104,16 +104,13 @@ class PoseTask(Task, kind="pose"):
 
     def point(self, value: PointLike) -> Point:
         name = f"a point of {self!r}"
-        if not isinstance(value, pin.SE3):
-            array = numbers(value, name)
-            if array.shape != (4, 4):
-                array = vector(array, 12, f"{name}, a pin.SE3, a 4 × 4 matrix or a flat point,")
-                return np.concatenate((array[:3], _rotation(array[3:], name)))
+        array = numbers(value.homogeneous if isinstance(value, pin.SE3) else value, name)
+        if array.shape == (4, 4):
             if array[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
                 raise InputError(f"the last row of {name} must be 0, 0, 0, 1, got {array[3].tolist()}")
-        else:
-            array = value.homogeneous
-        return np.concatenate((vector(array[:3, 3], 3, name), _rotation(array[:3, :3], name)))
+            array = array.ravel()[_FLAT]
+        z = vector(array, 12, f"{name}, a pin.SE3, a 4 × 4 matrix or a flat point,")
+        return np.concatenate((z[:3], _straight(z[3:], name)))
 
 
 class HeadingTask(Task, kind="heading"):
@@ -152,14 +149,28 @@ class HeadingTask(Task, kind="heading"):
 
 
 def _rotation(value: PointLike, name: str) -> Vector:
-    """Flat rotation matrix, its rounding errors removed.
+    """Flat rotation matrix from what a person writes.
 
     Raises:
-        InputError: Not 9 numbers, or not orthonormal to 1e-6.
+        InputError: Not 9 numbers, or no rotation.
     """
-    R = vector(numbers(value, f"the rotation of {name}").ravel(), 9, f"the rotation of {name}").reshape(3, 3)
-    E = R.T.dot(R) - np.eye(3)
-    if np.abs(E).max() > 1e-6 or np.linalg.det(R) < 0.0:
+    return _straight(vector(numbers(value, f"the rotation of {name}").ravel(), 9, f"the rotation of {name}"), name)
+
+
+def _straight(flat: Vector, name: str) -> Vector:
+    """Flat rotation matrix whose digits were rounded, made orthonormal again.
+
+    Raises:
+        InputError: It is not orthonormal to 1e-6.
+    """
+    R = flat.reshape(3, 3)
+    E = R.T.dot(R) - _IDENTITY
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    largest = max(map(abs, E.ravel().tolist()))
+    if largest > 1e-6 or determinant < 0.0:
         raise InputError(f"the rotation of {name} must be a 3 × 3 matrix with orthonormal columns and determinant 1")
-    # R (RᵀR)^(−1/2), the nearest rotation, by its series to order E².
-    return (R - R.dot(0.5 * E - 0.375 * E.dot(E))).ravel()
+    if largest > 1e-14:
+        # R (RᵀR)^(−1/2), the nearest rotation, by its series to order E².
+        R = R - R.dot(0.5 * E - 0.375 * E.dot(E))
+    return R.ravel()

@@ -6,11 +6,15 @@ from itertools import pairwise
 
 import checks
 import numpy as np
+import pinocchio as pin
 import pytest
 import scipy.integrate
 from checks import EXACT, SOLVED, all_tasks, every_task
+from hypothesis import given
+from hypothesis import strategies as st
 
-from eos_pin import Atlas, Chart, InputError, PositionTask, SingularError, pseudoinverse
+from eos_pin import Atlas, Chart, InputError, PositionTask, Robot, SingularError, pseudoinverse
+from eos_pin.newton import descend
 
 HOME = np.array([0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8])
 
@@ -259,3 +263,167 @@ def test_the_rule_by_which_charts_follow_each_other(ppr):
     following = atlas.next(chart, q)
     np.testing.assert_allclose(following.v(q), chart.v(q), atol=EXACT)
     assert atlas.holds(following, task.linearize(q)[1])
+
+
+# -- one point, by whatever way ----------------------------------------------------------------------------------------
+
+
+def reachable(task, count):
+    """Task points of postures within the limits."""
+    random, robot = np.random.default_rng(0), task.robot
+    least, most = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    return [task.value(random.uniform(least, most)) for _ in range(count)]
+
+
+def start_of(robot):
+    return HOME if robot.n == 7 else np.array([0.3, -1.2, 1.4, -0.5, 0.9, 0.2])
+
+
+@pytest.mark.parametrize("kind", ["position xyz", "pose"])
+@pytest.mark.parametrize("name", ["panda", "ur5"])
+def test_all_that_is_reachable_is_reached_within_limits(request, name, kind):
+    robot = request.getfixturevalue(name)
+    task = every_task(robot)[kind]
+    frame, data, ways = robot.model.getFrameId(task.frame), robot.model.createData(), set()
+    for z in reachable(task, 40):
+        reached = Atlas(task).reach(start_of(robot), z)
+        assert reached.found
+        assert reached.within_limits
+        assert ((robot.lower <= reached.q) & (reached.q <= robot.upper)).all()
+        assert not reached.q.flags.writeable
+        assert reached.residual <= SOLVED
+        assert (reached.path is None) == (reached.way == "jump")
+        pin.framesForwardKinematics(robot.model, data, reached.q)
+        placement = data.oMf[frame]
+        np.testing.assert_allclose(placement.translation, z[:3], atol=SOLVED)
+        if kind == "pose":
+            np.testing.assert_allclose(placement.rotation.ravel(), z[3:], atol=SOLVED)
+        ways.add(reached.way)
+    assert len(ways) > 1
+
+
+def test_walks_and_detours_are_continuous_and_end_at_v(panda):
+    task = every_task(panda)["pose"]
+    atlas, seen = Atlas(task), set()
+    for z in reachable(task, 12):
+        reached = atlas.reach(HOME, z, v=[0.2], points=400)
+        assert reached.way != "jump"
+        if not reached.found:
+            continue
+        check(atlas, reached.path)
+        np.testing.assert_array_equal(reached.path.q[[0, -1]], [HOME, reached.q])
+        np.testing.assert_allclose(reached.path.charts[-1].v(reached.q), 0.2, atol=100 * EXACT)
+        np.testing.assert_allclose(task.value(reached.q), z, atol=SOLVED)
+        # Near singularities the joints hurry, but none turns over.
+        assert largest_step(reached.path) < 1.0
+        assert len(reached.path.q) == {"walk": 401, "detour": 801}[reached.way]
+        seen.add(reached.way)
+    assert seen == {"walk", "detour"}
+
+
+def test_a_walk_is_what_follow_does(position):
+    goal = [0.3, 0.45, 0.4]
+    reached = Atlas(position).reach(HOME, goal, ways=["walk"])
+    assert reached.way == "walk"
+    np.testing.assert_allclose(reached.q, Atlas(position).follow(HOME, [goal]).q[-1], atol=1e-9)
+
+
+def test_the_same_seed_finds_the_same_joints(panda):
+    task = every_task(panda)["pose"]
+    for z in reachable(task, 10):
+        one, same = (Atlas(task).reach(HOME, z, ways=["jump"], seed=3) for _ in range(2))
+        np.testing.assert_array_equal(one.q, same.q)
+
+
+def test_a_pose_is_taken_as_a_matrix(panda):
+    task = every_task(panda)["pose"]
+    z = task.plus(task.value(HOME), np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.3]))
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = z[3:].reshape(3, 3), z[:3]
+    np.testing.assert_allclose(Atlas(task).reach(HOME, matrix).q, Atlas(task).reach(HOME, z).q, atol=1e-9)
+
+
+def test_joints_beyond_their_limits_are_the_last_resort(panda):
+    """With hardly any room within the limits there is a solution beyond them only, and the motion to it comes first."""
+    model = panda.model.copy()
+    model.lowerPositionLimit, model.upperPositionLimit = HOME - 0.1, HOME + 0.1
+    task = PositionTask(Robot(model), "panda_hand_tcp")
+    atlas, z = Atlas(task), task.value(HOME + 0.5)
+    walked, jumped = (atlas.reach(HOME, z, ways=ways, tries=5) for ways in (None, ["jump"]))
+    assert (walked.way, jumped.way) == ("walk", "jump")
+    for reached in (walked, jumped):
+        assert reached.found
+        assert not reached.within_limits
+        np.testing.assert_allclose(task.value(reached.q), z, atol=SOLVED)
+
+
+def test_a_jump_leaves_a_singular_start(ur5):
+    task, start = every_task(ur5)["pose"], np.zeros(6)
+    z = task.value(start_of(ur5))
+    reached = Atlas(task).reach(start, z)
+    assert reached.found
+    assert reached.way == "jump"
+    alone = Atlas(task).reach(start, z, ways=["walk"])
+    assert not alone.found
+    assert "rank" in alone.message
+    np.testing.assert_array_equal(alone.q, start)
+
+
+def test_what_is_out_of_reach_is_said_to_be(position):
+    """The joints that are returned are nearer than any of a thousand postures."""
+    z = np.array([2.0, 0.0, 0.333])
+    reached = Atlas(position).reach(HOME, z, tries=10)
+    assert not reached.found
+    assert reached.within_limits
+    assert f"out of reach, by {reached.residual:.3g}" in reached.message
+    others = [np.linalg.norm(z - other) for other in reachable(position, 1000)]
+    assert np.linalg.norm(z - position.value(reached.q)) < min(others)
+    walked = Atlas(position).reach(HOME, z, ways=["walk", "detour"])
+    assert not walked.found
+    assert "straight line" in walked.message
+
+
+@given(data=st.data())
+def test_a_search_keeps_its_bounds(panda, data):
+    task = every_task(panda)["pose"]
+    seed, width = data.draw(st.integers(0, 2**32 - 1)), data.draw(st.floats(0.0, 3.0))
+    random = np.random.default_rng(seed)
+    middle, q = random.uniform(-2.0, 2.0, (2, 7))
+    bounds = middle - width, middle + width
+    z = task.value(random.uniform(*bounds))
+    found = descend(task, q, z, bounds, tol=1e-10)
+    assert ((bounds[0] <= found.q) & (found.q <= bounds[1])).all()
+    assert found.residual == np.abs(task.minus(z, task.value(found.q))).max()
+    nearest = np.clip(q, *bounds)
+    # Downhill in the sum of squares, so at most √6 times as far by the largest entry.
+    assert found.residual <= 2.5 * np.abs(task.minus(z, task.value(nearest))).max()
+
+
+def test_a_search_without_a_way_downhill_ends(ur5):
+    """Stretched out towards the target no joint brings the tip nearer; with all joints at their bounds none may."""
+    task = every_task(ur5)["position xyz"]
+    q = np.zeros(6)
+    z = task.value(q) * [3.0, 1.0, 1.0]
+    anywhere = np.full(6, np.inf)
+    assert descend(task, q, z, (q, q), tol=1e-10).residual == np.abs(z - task.value(q)).max()
+    assert np.isfinite(descend(task, q, z, (-anywhere, anywhere), tol=1e-10).q).all()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"q": np.zeros(6)},
+        {"z": [0.1, 0.2]},
+        {"z": [np.nan, 0.0, 0.0]},
+        {"v": np.zeros(3)},
+        {"ways": []},
+        {"ways": ["fly"]},
+        {"points": 0},
+        {"tries": -1},
+    ],
+    ids=lambda wrong: "-".join(wrong),
+)
+def test_wrong_wishes_are_refused(position, wrong, unchecked):
+    arguments = {"q": HOME, "z": [0.4, 0.1, 0.5]} | wrong
+    with pytest.raises(InputError):
+        Atlas(position).reach(arguments.pop("q"), arguments.pop("z"), **arguments)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from serve import Call, Problem, serve
@@ -25,6 +25,7 @@ from eos_pin import (
     figure_eight,
     load_robot,
 )
+from eos_pin.atlas import Way
 
 
 def build(problem: Problem) -> Mapping[str, Call]:
@@ -81,12 +82,22 @@ def build(problem: Problem) -> Mapping[str, Call]:
             return start
         return found.q[-1] if found.complete else start
 
+    def reach(ways: Sequence[Way] | None = None) -> Call:
+        def solve(given: np.ndarray) -> np.ndarray:
+            start, target = problem.split(given)
+            z = target if problem.whole else target[:3, 3]
+            return atlas.reach(start, z, chart=chart, ways=ways, tol=problem.tol).q
+
+        return solve
+
     return {
         **{f"torque:{name}": step(controller) for name, controller in controllers.items()},
         **{f"along:{name}": along(controllers[name]) for name in ("", "within limits", "traditional")},
         "inverse:chart": inverse(True),
         "inverse:chart, constant B": inverse(False),
         "inverse:atlas": follow,
+        "inverse:reach": reach(),
+        "inverse:jump": reach(["jump"]),
     }
 
 
