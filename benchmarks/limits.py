@@ -4,7 +4,8 @@
 
 Each run starts in a random posture, often near a limit, and is sent to and fro along a random line that often leads
 out of reach. Counted are torques that are not finite or beyond their limits, joints beyond theirs, and how many tasks
-were given up in part, for how long.
+were given up in part, for how long and why. A few runs are repeated at shorter control periods: where the torque is
+continuous, the most it changes from one period to the next shrinks with the period.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ from rich.progress import track
 from eos_pin import (
     EosError,
     Geodesic,
-    JointLimits,
     LimitedEosController,
     PoseTask,
     PositionTask,
+    Result,
     load_robot,
     simulate_sampled,
 )
@@ -35,14 +36,15 @@ from eos_pin.report import console, grid, stderr, write_json
 
 #: Farther than this no joint may be beyond its limit [rad].
 OVER = 1e-6
+#: Control periods of runs that are repeated [s].
+PERIODS = (1e-3, 5e-4, 2.5e-4)
 
 
-def one(seed: int) -> dict[str, float | str]:
-    """Run with a seed, and what it did about its limits."""
+def example(seed: int, period: float = 1e-3, *, rate: float = 200.0) -> Result:
+    """Run with a seed."""
     random = np.random.default_rng(seed)
     robot = load_robot("panda", chain_to="panda_hand_tcp")
     task = (PositionTask, PoseTask)[seed % 2](robot, "panda_hand_tcp")
-    limits = JointLimits.of(robot)
     span = robot.upper - robot.lower
     # A beta distribution that favours the ends of the range.
     q = robot.lower + span * (0.02 + 0.96 * random.beta(0.6, 0.6, robot.n))
@@ -51,39 +53,65 @@ def one(seed: int) -> dict[str, float | str]:
     step[:3] = random.normal(size=3)
     step *= random.uniform(0.1, 1.0) / np.linalg.norm(step)
     path = Geodesic(task, np.array([z, task.plus(z, step), z]), np.array([0.0, 0.75, 1.5]))
+    controller = LimitedEosController(task, path, period=period)
+    return simulate_sampled(robot, controller, q, duration=2.0, period=period, rate=rate)
+
+
+def one(seed: int) -> dict[str, float | str]:
+    """What the run with a seed did about its limits."""
     try:
-        found = simulate_sampled(robot, LimitedEosController(task, path, limits=limits), q, duration=2.0, rate=200.0)
+        found = example(seed)
     except EosError as error:
-        return {"status": f"refused: {type(error).__name__}", "over": 0.0, "torque": 0.0, "given_up": 0.0}
+        return dict.fromkeys(("over", "torque", "speed", "given_up", "task", "limit"), 0.0) | {
+            "status": f"refused: {type(error).__name__}"
+        }
+    robot, met = found.load_plant(), found.singularities
     return {
         "status": found.status,
         "over": float(np.maximum(found.q - robot.upper, robot.lower - found.q).max()),
         "torque": float((np.abs(found.tau) / robot.effort).max()) if np.isfinite(found.tau).all() else np.inf,
+        "speed": float((np.abs(found.dq) / robot.velocity).max()) - 1.0,
         "given_up": found.given_up_seconds,
+        "task": met.get("task", {}).get("seconds", 0.0),
+        "limit": met.get("limit", {}).get("seconds", 0.0),
     }
 
 
-def main(*, count: int = 1000, json: Path | None = None, jobs: int = 2) -> int:
+def largest_step(seed: int, period: float) -> float:
+    """The most a torque changes from one period to the next, but where a chart is left [N m]."""
+    found = example(seed, period, rate=1.0 / period)
+    return float(np.abs(np.diff(found.tau, axis=0))[np.diff(found.chart) == 0].max())
+
+
+def main(*, count: int = 1000, repeated: int = 10, json: Path | None = None, jobs: int = 2) -> int:
     """Run Panda at random through and near singularities and limits, and count what went wrong.
 
     Args:
         count: Number of runs.
+        repeated: How many of them are repeated at shorter periods.
         json: File for the figures.
         jobs: Processes to use.
     """
     parallel = Parallel(n_jobs=jobs, return_as="generator")
     found = list(track(parallel(delayed(one)(seed) for seed in range(count)), total=count, console=stderr))
-    over, torque, lost = (np.array([row[key] for row in found], dtype=float) for key in ("over", "torque", "given_up"))
+    keys = ("over", "torque", "speed", "given_up", "task", "limit")
+    over, torque, speed, lost, singular, limited = (np.array([row[key] for row in found], dtype=float) for key in keys)
     figures: dict[str, float] = {
         "runs": count,
         "torques not finite or beyond a limit": int((torque > 1.0 + 1e-12).sum()),
         f"joints more than {OVER:g} rad beyond a limit": int((over > OVER).sum()),
         "farthest beyond a limit, rad": float(over.max()),
+        "fastest beyond a limit, part of it": float(speed.max()),
         "tasks given up in part": int((lost > 0.0).sum()),
+        "of these near a singularity of the task": int((singular > 0.0).sum()),
+        "of these to keep limits": int((limited > 0.0).sum()),
         "seconds given up, mean of these": float(lost[lost > 0.0].mean()) if (lost > 0.0).any() else 0.0,
     }
     for status in sorted({str(row["status"]) for row in found}):
         figures[f"ended {status!r}"] = sum(row["status"] == status for row in found)
+    for period in PERIODS:
+        steps = parallel(delayed(largest_step)(seed, period) for seed in range(min(repeated, count)))
+        figures[f"largest step of the torque at {1e3 * period:g} ms, median, N m"] = float(np.median(list(steps)))
     console.print(grid("Panda at its limits", ("what", "figure"), list(figures.items())))
     if json is not None:
         write_json(json, figures)

@@ -3,8 +3,8 @@
     python benchmarks/random_chains.py [--count N] [--first SEED] [--json FILE]
 
 Needs the `test` extra. A robot has 5 to 12 joints, prismatic and revolute, with random axes, offsets and inertias; its
-task is one of all kinds that it can do. Everything is made from the seed alone, so a figure is repeated by
-`--first SEED --count 1`.
+task is one of all kinds that it can do, in a posture clear of singularities; in one more run nothing is. Everything is
+made from the seed alone, so a figure is repeated by `--first SEED --count 1`.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ from eos_pin import (
     Geodesic,
     Harmonic,
     Hold,
+    JointLimits,
+    LimitedEosController,
     OpenLoop,
     Result,
     Task,
@@ -41,6 +43,7 @@ from eos_pin import (
     Track,
     simulate,
     simulate_eos,
+    simulate_sampled,
 )
 from eos_pin.cli import run
 from eos_pin.linear import FADING
@@ -63,7 +66,10 @@ BOUNDS = {
     "tracking": 1e-8,
     "self_motion": 1e-8,
     "hold": 1e-7,
+    "fastest": 2.0,
 }
+#: Speed limit of every joint where nothing keeps clear of singularities [rad/s or m/s].
+SPEED = 5.0
 
 
 @dataclass(frozen=True)
@@ -85,6 +91,9 @@ class Figures:
         self_motion: Largest self-motion error meanwhile, while v follows a sine, on the first chart; where the chart is
             changed v continues, but dv jumps.
         hold: Task and self-motion error 2 s after a displacement and a push.
+        anywhere: How a run ended that goes through whatever singularities there are: any task, from any posture, to and
+            fro along a line that may lead out of reach, sampled, with a limit of speed.
+        fastest: Largest speed of a joint in that run, in units of its limit; infinite if a torque was not finite.
         charts: Charts that tracking and integration went through.
         endings: How runs ended that did not finish; empty if all did.
         seconds: Wall time.
@@ -103,6 +112,8 @@ class Figures:
     tracking: float
     self_motion: float
     hold: float
+    anywhere: str
+    fastest: float
     charts: int
     endings: str
     seconds: float
@@ -111,7 +122,8 @@ class Figures:
     def wrong(self) -> tuple[str, ...]:
         """Names of the figures that are not within their bounds."""
         exceeded = tuple(name for name, bound in BOUNDS.items() if not getattr(self, name) <= bound)
-        return exceeded + (("endings",) if self.endings else ())
+        lost = self.anywhere not in ("finished", "degraded")
+        return exceeded + (("endings",) if self.endings else ()) + (("anywhere",) if lost else ())
 
 
 def examine(seed: int) -> Figures:
@@ -129,6 +141,7 @@ def examine(seed: int) -> Figures:
     equivalence, one, other = _equivalence(task, q, random)
     tracked = _track(task, q, random)
     held = _hold(task, q, random)
+    free = _anywhere(tasks[random.choice(kinds)], random)
     runs = {"joint": one, "extended": other, "track": tracked, "hold": held}
     return Figures(
         seed=seed,
@@ -141,6 +154,8 @@ def examine(seed: int) -> Figures:
         tracking=float(np.abs(tracked.error).max()),
         self_motion=float(np.abs(tracked.self_motion_error[tracked.chart == 0]).max(initial=0.0)),
         hold=float(max(np.abs(held.error[-1]).max(), np.abs(held.self_motion_error[-1]).max(initial=0.0))),
+        anywhere=free.status,
+        fastest=float(np.abs(free.dq).max()) / SPEED if np.isfinite(free.tau).all() else np.inf,
         charts=2 + len(other.switches) + len(tracked.switches),
         endings="; ".join(
             f"{name} {result.status}: {result.message}" for name, result in runs.items() if not result.ok
@@ -149,12 +164,17 @@ def examine(seed: int) -> Figures:
     )
 
 
+def _postures(task: Task, random: np.random.Generator, count: int) -> np.ndarray:
+    """Random postures, (count, n)."""
+    postures = random.uniform(-np.pi, np.pi, (count, task.robot.n))
+    # A slider moves by lengths, not by turns.
+    postures[:, [joint.kind == "prismatic" for joint in task.robot.joints]] *= 0.1
+    return postures
+
+
 def _regular(task: Task, random: np.random.Generator) -> np.ndarray:
     """The first of some random postures that is clear of singularities, or the one that is most so."""
-    postures = random.uniform(-np.pi, np.pi, (200, task.robot.n))
-    # A slider moves by lengths, not by turns.
-    sliders = [joint.kind == "prismatic" for joint in task.robot.joints]
-    postures[:, sliders] *= 0.1
+    postures = _postures(task, random, 200)
     clear = (q for q in postures if regularity(task, q) > 1.25 * REGULAR)
     return next(clear, max(postures, key=lambda q: regularity(task, q)))
 
@@ -226,6 +246,16 @@ def _hold(task: Task, q: np.ndarray, random: np.random.Generator) -> Result:
     return simulate(robot, controller, displaced, 0.1 * random.normal(size=robot.n), duration=2.0)
 
 
+def _anywhere(task: Task, random: np.random.Generator) -> Result:
+    """To and fro along a line of the task's group that may lead through singularities and out of reach."""
+    q, robot = _postures(task, random, 1)[0], task.robot
+    z, scale = task.value(q), np.array([robot.reach if unit == "m" else 1.0 for unit in task.units])
+    far = task.plus(z, scale * random.normal(size=task.m) / np.sqrt(task.m))
+    path = Geodesic(task, np.array([z, far, z]), np.array([0.0, 0.75, 1.5]))
+    limits = JointLimits.of(robot, velocity=SPEED)
+    return simulate_sampled(robot, LimitedEosController(task, path, limits=limits), q, duration=2.0)
+
+
 def random_chains(
     *,
     count: int = 1000,
@@ -260,6 +290,8 @@ def random_chains(
         )
     columns = ("figure", "median", "99 %", "worst", "bound", "beyond", "worst seed")
     console.print(grid(f"{len(found)} random chains", columns, rows))
+    anywhere = Counter(figures.anywhere for figures in found)
+    console.print("anywhere: " + ", ".join(f"{number} {status}" for status, number in anywhere.most_common()))
     tasks = Counter(figures.task for figures in found)
     console.print("tasks: " + ", ".join(f"{number} {task}" for task, number in tasks.most_common()), soft_wrap=True)
     console.print(

@@ -34,6 +34,7 @@ from eos_pin.sweeping import sweep
 
 # What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
 if TYPE_CHECKING:
+    from eos_pin.atlas import JointPath
     from eos_pin.results import Result
     from eos_pin.robot import Robot
     from eos_pin.tasks import Task
@@ -205,6 +206,9 @@ def ik(
 ) -> int:
     """Find joints for a task point and self-motion coordinates, or along a path.
 
+    To a point the robot walks on a straight line. Where it cannot, or would end beyond its joint limits, it makes a
+    detour or, unless v is given, jumps to other joints; which of these is printed.
+
     Args:
         robot: Which robot.
         task: What the robot must do; q0 is where v is 0 and the search starts.
@@ -225,59 +229,59 @@ def ik(
 
     machine = robot.load()
     goal, q = task.make(machine)
-    r = machine.n - goal.m
-    v_goal = vector(v, r, "v") if v else np.zeros(r)
+    v_goal = vector(v, machine.n - goal.m, "v") if v else None
+    z0 = goal.value(q)
+    found: JointPath | None
     if path is not None:
         spline = spline_from_csv(path)
         times = np.linspace(spline.start, spline.end, max(2, round(100 * (spline.end - spline.start))))
+        found = Atlas(goal).follow(q, [_whole(goal, spline(t).z, z0) for t in times], v=v_goal)
+        residual, message, way, joints = found.residual, found.message, "path", found.q
     else:
-        # A visible way there: the straight line in (z, v) from the start.
-        times = np.linspace(0.0, 1.0, 101)
-    z0 = goal.value(q)
-    if path is not None:
-        points = [_whole(goal, spline(t).z, z0) for t in times]
-        ways = np.tile(v_goal, (len(times), 1))
-    else:
-        step = goal.minus(_whole(goal, np.array(to), z0), z0)
-        points = [goal.plus(z0, s * step) for s in times]
-        ways = times[:, None] * v_goal
-    found = Atlas(goal).follow(q, points, v=ways)
-    joints = found.q[-1] if len(found.q) else q
+        reached = Atlas(goal).reach(q, _whole(goal, np.array(to), z0), v=v_goal, points=100)
+        residual, message, way, found = reached.residual, reached.message, reached.way, reached.path
+        # Of a jump only the end counts.
+        joints = np.linspace(q, reached.q, 101) if found is None else found.q
+        times = np.linspace(0.0, 1.0, len(joints))
+    times, end = times[: len(joints)], joints[-1] if len(joints) else q
     figures = {
-        "status": "finished" if found.complete else "unreached",
-        "message": found.message,
+        "status": "unreached" if message else "finished",
+        "message": message,
+        "way": way,
         "joints": [joint.name for joint in machine.joints],
-        "q": joints,
-        "task_error_max": found.residual,
-        "charts": len(found.charts),
-        "iterations": found.iterations,
+        "q": end,
+        "task_error_max": residual,
+        "charts": len(found.charts) if found else 0,
     }
     rows = [
-        (joint.name, f"{value:.6f}", joint.lower, joint.upper)
-        for joint, value in zip(machine.joints, joints, strict=True)
+        (joint.name, f"{value:.6f}", joint.lower, joint.upper) for joint, value in zip(machine.joints, end, strict=True)
     ]
     console.print(grid(f"{machine.name}: {goal!r}", ("joint", "value", "lower", "upper"), rows))
-    console.print(f"task error {figure(found.residual)}, {len(found.charts)} charts, {found.iterations} Newton steps")
-    if found.message:
-        stderr.print(f"[bold]not reached:[/] {found.message}")
-    outside = (found.q < machine.lower) | (found.q > machine.upper)
-    if outside.any():
+    console.print(f"{way}, {figures['charts']} charts, task error {figure(residual)}")
+    if message:
+        stderr.print(f"[bold]not reached:[/] {message}")
+    elif way == "jump":
+        stderr.print("These joints are not connected to q0 through charts: v starts anew there.")
+    outside = (joints < machine.lower) | (joints > machine.upper)
+    if outside.any() and way != "jump":
         names = [machine.joints[i].name for i in np.flatnonzero(outside.any(axis=0))]
-        stderr.print(
-            f"Joint limits are not part of this search, and {', '.join(names)} exceeds them; try another v or q0."
-        )
+        where = "at the end" if outside[-1].any() else "on the way"
+        stderr.print(f"{', '.join(names)} exceeds its limits {where}; try another v or q0.")
     written = []
     if output.csv is not None:
         header = ",".join(["t", *(joint.name for joint in machine.joints)])
-        samples = np.column_stack((times[: len(found.q)], found.q))
+        samples = np.column_stack((times, joints))
         write_atomically(output.csv, lambda file: np.savetxt(file, samples, delimiter=",", header=header, comments=""))
         written.append(output.csv)
-    result = joint_run(goal, times[: len(found.q)], found.q, found.z, v=found.v, chart=found.chart)
+    if found:
+        result = joint_run(goal, times, joints, found.z, v=found.v, chart=found.chart, message=message)
+    else:
+        result = joint_run(goal, times, joints, np.array([goal.value(row) for row in joints]), message=message)
     written += deliver(replace(output, csv=None), result, machine, figures=figures)
     if output.view:
         show(scene_of(result, machine), result)
     say_files(written)
-    return 0 if found.complete else 1
+    return 1 if message else 0
 
 
 def replay(run: tyro.conf.Positional[Path], output: Output = Output()) -> int:

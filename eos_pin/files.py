@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import os
 import tempfile
+import time
 from collections.abc import Callable
+from contextlib import suppress
+from glob import escape
 from pathlib import Path
 from typing import IO
 
 from eos_pin.errors import OutputError
 
+#: A temporary file this old was left behind by a process that was killed [s].
+STALE = 3600.0
+
 
 def write_atomically(path: str | Path, write: Callable[[IO[bytes]], object]) -> None:
     """Write a file beside `path` and rename it there, so that `path` is never half a file.
+
+    What earlier writers of the same path left behind when they were killed is removed.
 
     Raises:
         OutputError: The file cannot be written.
@@ -21,7 +29,13 @@ def write_atomically(path: str | Path, write: Callable[[IO[bytes]], object]) -> 
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+        for old in path.parent.glob(f".{escape(path.name)}.????????.part"):
+            with suppress(OSError):
+                if old.stat().st_mtime < time.time() - STALE:
+                    old.unlink()
+        with tempfile.NamedTemporaryFile(
+            dir=path.parent, prefix=f".{path.name}.", suffix=".part", delete=False
+        ) as file:
             temporary = Path(file.name)
             write(file)
             file.flush()

@@ -1,19 +1,21 @@
 """`LimitedEosController`: EOS control that keeps joint position, velocity, acceleration and torque limits.
 
-The nominal acceleration of EOS control is used wherever it keeps all limits. Elsewhere the self-motion gives way, by
-the quadratic program that changes its acceleration the least; only where no self-motion keeps the limits does the task
-give way too. Position limits are kept by viability: a joint is never allowed a speed from which it could not stop.
+The torque of EOS control is used wherever it keeps all limits. Elsewhere a quadratic program changes the acceleration
+the least, and in a way that the task feels only where no sensible self-motion keeps the limits. Position limits are
+kept by viability: a joint is never allowed a speed from which it could not stop. The torque is bounded, and a
+continuous function of the state: limits are approached smoothly, and nothing is ever switched over.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import daqp
 import numpy as np
 
-from eos_pin.arrays import Array, JointVector, VectorLike, number, readonly, spread
+from eos_pin.arrays import Jacobian, JointVector, Matrix, TaskVector, Vector, VectorLike, number, readonly, spread
 from eos_pin.atlas import Atlas
 from eos_pin.controllers import EosController, EosMemory
 from eos_pin.errors import InputError
@@ -22,10 +24,22 @@ from eos_pin.robot import Robot
 from eos_pin.tasks import Task, TaskPoint
 from eos_pin.trajectories import Trajectory
 
-#: Weight of the task against the self-motion where both must give way; the task is worth a thousand times as much.
-TASK_WEIGHT = 1e6
-#: How daqp marks a constraint that may be violated.
-SOFT = 8
+#: Rate at which a joint closes in on a limit of position or velocity [1/s].
+RATE = 100.0
+#: Position limits are kept this distance off, times the period squared: 1e-5 rad at 1 kHz. It covers what the motion
+#: over a period differs from its prediction, which falls with the square of the period, too [rad/s² or m/s²].
+ROOM = 10.0
+#: Price of a change that the task feels against one of the joints, for its size and for its square. The first keeps the
+#: task exactly, up to where that would take excessive self-motion; the second shares what must be given up among the
+#: directions of the task, so that the robot is not caught where it gives up one of them for ever.
+TASK_PRICE, TASK_WEIGHT = 1e3, 1e4
+#: Price of position and velocity limits; so high that they give way to nothing but torque limits.
+LIMIT_PRICE = 1e10
+#: Where each joint may be accelerated by this much more than it is, limits are not looked at more closely
+#: [rad/s² or m/s²].
+CLEAR = 20.0
+#: How daqp is told that there is no bound.
+FAR = 1e20
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,28 +112,40 @@ class JointLimits:
     def accelerations(self, q: JointVector, dq: JointVector, period: float) -> tuple[JointVector, JointVector]:
         """Least and largest acceleration of each joint over one period that keep position, velocity and viability.
 
-        Viable is a state from which the joint stops before its limit at its braking deceleration b, so the next state
-        must be viable too: (dq + a T)² ≤ 2 b (q_max − q − dq T − ½ a T²) for a joint that moves towards q_max.
+        Both change continuously with the state. At the distance s from its limit a joint may move towards it at the
+        speed V(s) = √(2 b s + c²) − c, c = b/ρ: far away that is what the braking deceleration b just stops there, near
+        it ρ s. Where a ≤ ρ (V − v) − V' v a speed v below V(s) stays below, and because V V' ≤ b no more than b is ever
+        needed. ρ is `RATE`.
 
         Args:
             q: Joints.
             dq: Joint velocities.
-            period: Time T for which the acceleration is held [s].
+            period: Time for which the torque is held [s].
         """
-        # Both sides at once: towards the lower limit everything is mirrored.
-        room = np.stack((self.upper - q, q - self.lower))
-        speed = np.stack((dq, -dq))
-        A, T = self.braking, period
-        ahead = room - speed * T
-        half = T * (speed + 0.5 * A * T)
-        discriminant = half * half - T * T * (speed * speed - 2.0 * A * ahead)
-        viable = (np.sqrt(np.maximum(discriminant, 0.0)) - half) / (T * T)
-        # To stop within the period is always allowed; where even that is not enough it is the best there is.
-        stop = -speed / T
-        most = np.where(discriminant >= 0.0, np.maximum(viable, stop), stop)
-        most = np.minimum(np.minimum(most, 2.0 * ahead / (T * T)), (self.velocity - speed) / T)
-        most = np.clip(most, -self.acceleration, self.acceleration)
-        return np.minimum(-most[1], most[0]), most[0]
+        most = _Viability(self, period)(q, dq)
+        return np.minimum(-most[q.size :], most[: q.size]), most[: q.size]
+
+
+class _Viability:
+    """`JointLimits.accelerations` for one period, in the form of 2n upper bounds: for ddq, and for −ddq."""
+
+    def __init__(self, limits: JointLimits, period: float) -> None:
+        rate, n = min(RATE, 0.5 / period), limits.lower.size
+        # Towards the lower limit everything is mirrored.
+        self.sides = np.vstack((np.eye(n), -np.eye(n)))
+        self._ends = np.concatenate((limits.upper, -limits.lower)) - ROOM * period**2
+        self._braking, self._acceleration = np.tile(limits.braking, 2), np.tile(limits.acceleration, 2)
+        self._fastest = rate * np.tile(limits.velocity, 2)
+        self._rate = rate
+
+    def __call__(self, q: JointVector, dq: JointVector) -> Vector:
+        b, rate = self._braking, self._rate
+        room, speed = self._ends - self.sides.dot(q), self.sides.dot(dq)
+        # ρ V = root − b and V' = ρ b / root
+        root = np.sqrt(2.0 * rate**2 * b * np.maximum(room, 0.0) + b * b)
+        most = root - b + rate**2 * np.minimum(room, 0.0) - rate * b / root * speed
+        most = np.minimum(most, self._fastest) - rate * speed
+        return np.minimum(np.maximum(most, -self._acceleration), self._acceleration)
 
 
 def sure_braking(robot: Robot, torque: JointVector, *, seed: int = 0) -> JointVector:
@@ -136,13 +162,14 @@ def sure_braking(robot: Robot, torque: JointVector, *, seed: int = 0) -> JointVe
     random = np.random.default_rng(seed)
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     speed = np.minimum(robot.velocity, np.pi)
-    least = np.full(robot.n, 50.0)
-    for _ in range(300):
-        q, dq = random.uniform(lower, upper), random.uniform(-speed, speed)
-        # What gravity and Coriolis torques leave, shared with the joints it is coupled to.
-        left = (torque - np.abs(robot.bias(q, dq))) / np.abs(robot.mass(q)).sum(axis=1)
-        least = np.minimum(least, left)
-    return np.maximum(least, 0.5)
+    states = [(random.uniform(lower, upper), random.uniform(-speed, speed)) for _ in range(300)]
+    # What gravity and Coriolis torques leave.
+    left = np.maximum(torque - np.abs([robot.bias(q, dq) for q, dq in states]), 0.0)
+    masses = np.abs([robot.mass(q) for q, _ in states])
+    alike = np.minimum((left / masses.sum(axis=2)).min(axis=0), 50.0)
+    # Those were for all joints alike; with one for each, those that brake harder load the others more.
+    loads = np.maximum(masses @ alike, 1e-12)
+    return np.maximum(min((left / loads).min(), 1.0) * alike, 0.5)
 
 
 class LimitedEosController(EosController):
@@ -182,68 +209,90 @@ class LimitedEosController(EosController):
         )
         self.limits = limits or JointLimits.of(task.robot)
         self.period = number(period, "the control period", above=0.0)
+        self._viability = _Viability(self.limits, self.period)
+        self._per_torque = 1.0 / self.limits.torque
 
     def describe(self) -> dict[str, Any]:
         kept = {name: getattr(self.limits, name).tolist() for name in ("velocity", "braking", "torque")}
         return super().describe() | {"period": self.period, "limits": kept}
 
+    def given_up(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> TaskVector:
+        point = self.task.at(q, dq)
+        ddq, _ = self._drive(t, q, dq, memory, point)
+        lost = self.task_acceleration(t, point) - point.J @ ddq - point.drift
+        return lost + self.given_up_to_limits(t, q, dq, memory)
+
+    def given_up_to_limits(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> TaskVector:
+        """The part of `given_up` that limits take, on average over a period; a singularity takes the rest."""
+        point = self.task.at(q, dq)
+        ddq, _ = self._drive(t, q, dq, memory, point)
+        return -point.J @ self._within(q, dq, ddq, point.J)[1]
+
     def _torque(
         self, q: JointVector, dq: JointVector, ddq: JointVector, memory: EosMemory, point: TaskPoint
     ) -> JointVector:
-        least, most = self.limits.accelerations(q, dq, self.period)
-        tau = self._model.inverse_dynamics(q, dq, ddq)
-        torque = self.limits.torque
-        if (ddq <= most).all() and (ddq >= least).all() and (np.abs(tau) <= torque).all():
-            return tau
-        ddq = self._within(q, dq, ddq, memory, point, least, most)
-        # Rounding, and states from which no torque keeps all limits: there the torque limit has the last word.
-        return np.clip(self._model.inverse_dynamics(q, dq, ddq), -torque, torque)
+        return self._within(q, dq, ddq, point.J)[0]
 
     def _within(
+        self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
+    ) -> tuple[JointVector, JointVector]:
+        """Torque within all limits, and what it changes in the joint acceleration that was asked for."""
+        model, half, sides = self._model, 0.5 * self.period, self._viability.sides
+        most = self._viability(q, dq)
+        tau = model.inverse_dynamics(q, dq, ddq)
+        part = tau * self._per_torque
+        # Far from all limits nothing needs to be predicted.
+        if part.dot(part) < 1.0 and (most - sides.dot(ddq)).min() > CLEAR:
+            return tau, np.zeros_like(tau)
+        n, torque = ddq.size, self.limits.torque
+        most, least = most[:n], np.minimum(-most[n:], most[:n])
+        mean = np.minimum(np.maximum(ddq, least), most)
+        # A held torque accelerates the joints, on average, as in the middle of the period; twice, because where that is
+        # depends on the acceleration.
+        for _ in range(2):
+            middle = q + half * (dq + 0.5 * half * mean)
+            free = model.forward_dynamics(middle, dq + half * mean, tau)
+            if (free <= most).all() and (free >= least).all() and (np.abs(part) <= 1.0).all():
+                return tau, np.zeros_like(tau)
+            M = model.mass(middle)
+            change = self._change(J, M, least - free, most - free, -torque - tau, torque - tau)
+            mean = free + change
+        # For rounding only.
+        return np.clip(tau + M @ change, -torque, torque), change
+
+    def _change(
         self,
-        q: JointVector,
-        dq: JointVector,
-        nominal: JointVector,
-        memory: EosMemory,
-        point: TaskPoint,
+        J: Jacobian,
+        M: Matrix,
         least: JointVector,
         most: JointVector,
+        least_torque: JointVector,
+        most_torque: JointVector,
     ) -> JointVector:
-        """Acceleration within all limits that changes the self-motion least, and the task only where it must."""
-        chart = memory.chart
-        M, bias = self._model.mass(q), self._model.bias(q, dq)
-        # A joint that must brake harder than its torque allows brakes as hard as it can: torque before position.
-        rows = np.vstack((np.eye(chart.n), M))
-        upper = np.concatenate((most, self.limits.torque - bias))
-        lower = np.concatenate((least, -self.limits.torque - bias))
-        offset = rows @ nominal
-        if chart.r:
-            # Along D the task does not feel a change: G'D = 0.
-            D = self._self_motion_basis(chart, point)
-            change = _solve(np.eye(chart.r), np.zeros(chart.r), rows @ D, lower - offset, upper - offset)
-            if change is not None:
-                return nominal + D @ change
-        # The task gives way: least weighted change of (task, self-motion) from what was asked for.
-        K = np.vstack((np.sqrt(TASK_WEIGHT) * point.J, chart.Vt))
-        H = K.T @ K + 1e-9 * np.trace(K.T @ K) * np.eye(chart.n)
-        change = _solve(H, np.zeros(chart.n), rows, lower - offset, upper - offset)
-        if change is None:
-            # No acceleration keeps both; the torque does, and comes as near to the rest as it can.
-            change = _solve(H, np.zeros(chart.n), rows, lower - offset, upper - offset, soft=chart.n)
-        return nominal if change is None else nominal + change
+        """Smallest change of acceleration that keeps all limits, and that the task feels only where it must.
 
-    @staticmethod
-    def _self_motion_basis(chart: Any, point: TaskPoint) -> Array:
-        """D = (I − U B G')V; Eq. (16)."""
-        return chart.V - chart.U @ np.linalg.lstsq(point.J @ chart.U, point.J @ chart.V, rcond=1e-9)[0]
+        It is the Δ that minimizes ½|Δ|² + TASK_PRICE Σt + ½ TASK_WEIGHT Σt² + LIMIT_PRICE (w + ½ w²) where |JΔ| ≤ t,
+        least − w ≤ Δ ≤ most + w, and MΔ is within the torques. Prices are due from the first bit on, so t and w are
+        exactly zero wherever that costs less. The minimum always exists, is unique, and moves continuously.
+        """
+        m, n = J.shape
+        H, prices, rows = self._program
+        A = rows.copy()
+        A[2 * n :, m + 1 :] = np.concatenate((M, J, J))
+        upper = np.concatenate(([FAR], most, np.full(n, FAR), most_torque, np.zeros(m), np.full(m, FAR)))
+        lower = np.concatenate(([0.0], np.full(n, -FAR), least, least_torque, np.full(m, -FAR), np.zeros(m)))
+        x, _, flag, _ = daqp.solve(H, prices, A, np.minimum(upper, FAR), np.maximum(lower, -FAR))
+        # Only numbers beyond all reason have no solution; then every joint for itself.
+        return x[m + 1 :] if flag > 0 else np.clip(0.0, least, most)
 
-
-def _solve(H: Array, f: Array, A: Array, lower: Array, upper: Array, *, soft: int = 0) -> Array | None:
-    """Minimum of ½ xᵀHx + fᵀx within lower ≤ A x ≤ upper, where the first `soft` rows may be violated at a price.
-
-    Returns:
-        None if there is no such x.
-    """
-    sense = np.where(np.arange(len(A)) < soft, SOFT, 0).astype(np.int32)
-    x, _, flag, _ = daqp.solve(H, f, A, np.minimum(upper, 1e20), np.maximum(lower, -1e20), sense)
-    return x if flag > 0 else None
+    @cached_property
+    def _program(self) -> tuple[Matrix, Vector, Matrix]:
+        """Cost ½ xᵀHx + pᵀx of x = (w, t, Δ), and the rows of what is bounded, with M and J still to be filled in."""
+        m, n = self.task.m, self.task.robot.n
+        H = np.diag([LIMIT_PRICE] + [TASK_WEIGHT] * m + [1.0] * n)
+        prices = np.array([LIMIT_PRICE] + [TASK_PRICE] * m + [0.0] * n)
+        rows = np.zeros((3 * n + 2 * m, 1 + m + n))
+        rows[: 2 * n, 0] = np.repeat((-1.0, 1.0), n)
+        rows[: 2 * n, m + 1 :] = np.tile(np.eye(n), (2, 1))
+        rows[3 * n :, 1 : m + 1] = np.concatenate((-np.eye(m), np.eye(m)))
+        return H, prices, rows

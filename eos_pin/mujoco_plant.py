@@ -161,10 +161,6 @@ def _compile(mujoco: ModuleType, robot: pin.Model) -> Any:
         kind = mujoco.mjtJoint.mjJNT_SLIDE if linear.any() else mujoco.mjtJoint.mjJNT_HINGE
         bodies[i].add_joint(name=robot.names[i], type=kind, axis=linear + angular, armature=robot.armature[i - 1])
     model = spec.compile()
-    if [model.joint(i).name for i in range(model.njnt)] != list(robot.names)[1:]:
-        raise InputError(
-            "the joints of a tree must be numbered branch by branch, as Pinocchio's mass matrix wants it, too"
-        )
     # Its compiler refuses point masses, bodies without mass, and inertias that no real body has; its dynamics does not.
     model.body_mass[:], model.body_inertia[:] = (np.array(values) for values in zip(*inertias, strict=True))
     mujoco.mj_setConst(model, mujoco.MjData(model))

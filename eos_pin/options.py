@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from eos_pin.recording import Observer
     from eos_pin.results import Result
     from eos_pin.robot import Robot
+    from eos_pin.systems import TaskForce
     from eos_pin.tasks import Task
     from eos_pin.trajectories import Trajectory
 
@@ -214,6 +215,10 @@ class RunOptions:
         substeps: Steps of the plant in each control period.
         noise: Standard deviation of measured joints [rad or m], and of measured velocities ten times that per second.
         delay: Age of the state the controller sees [s].
+        dropout: Probability that the controller misses a period, and the torque of the last one stays.
+        friction: Viscous [N m s/rad or N s/m] and dry friction [N m or N] in every joint, which no controller knows.
+        push: Force on the frame that does the task [N], from 1 s to 1.2 s unless said otherwise.
+        push_time: When the push begins and ends [s].
         torque_limits: Clip torques at the robot's limits.
         model_error: Largest relative error of masses, centres of mass and inertias that the controller does not know.
         method: Integrator of a continuous run.
@@ -225,6 +230,10 @@ class RunOptions:
     substeps: int = 1
     noise: float = 0.0
     delay: float = 0.0
+    dropout: float = 0.0
+    friction: tuple[float, float] | None = None
+    push: tuple[float, float, float] | None = None
+    push_time: tuple[float, float] = (1.0, 1.2)
     torque_limits: bool = False
     model_error: float = 0.0
     method: Literal["DOP853", "LSODA", "RK45", "Radau", "BDF"] = "DOP853"
@@ -237,9 +246,23 @@ class RunOptions:
             return 1.0 / number(self.rate, "the rate", above=0.0)
         if self.plant == "mujoco":
             return 1e-3
-        if self.noise or self.delay or self.torque_limits:
-            raise InputError("noise, delay and torque limits are those of a sampled run; add --rate 1000")
+        if self.noise or self.delay or self.dropout or self.friction or self.push or self.torque_limits:
+            raise InputError(
+                "noise, delay, dropout, friction, a push and torque limits are those of a sampled run; add --rate 1000"
+            )
         return None
+
+    def _task_force(self, robot: Robot) -> TaskForce | None:
+        """The push, as a force on the frame that the robot was loaded to."""
+        if self.push is None:
+            return None
+        from eos_pin.positions import PositionTask
+        from eos_pin.systems import TaskForce
+
+        (start, end), force = self.push_time, vector(self.push, 3, "the push")
+        if not start < end:
+            raise InputError(f"a push must end after it begins, got {start:g} to {end:g} s")
+        return TaskForce(PositionTask(robot, robot.options["chain_to"]), lambda t: force * (start <= t < end))
 
     def run(
         self,
@@ -254,6 +277,7 @@ class RunOptions:
         """Run the closed loop; `seed` is that of everything random."""
         from eos_pin.mujoco_plant import MujocoPlant
         from eos_pin.simulation import SensorNoise, simulate, simulate_sampled
+        from eos_pin.systems import Friction
 
         e = self.model_error
         plant = robot.perturbed(mass=e, com=e, inertia=e, seed=seed) if e else robot
@@ -272,6 +296,9 @@ class RunOptions:
             substeps=self.substeps,
             noise=SensorNoise(self.noise, 10.0 * self.noise) if self.noise else None,
             delay=self.delay,
+            dropout=self.dropout,
+            friction=Friction(*self.friction) if self.friction else None,
+            task_force=self._task_force(robot),
             torque_limits=self.torque_limits,
             seed=seed,
             observer=observer,

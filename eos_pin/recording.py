@@ -21,7 +21,7 @@ from eos_pin.robot import Robot
 from eos_pin.systems import System
 from eos_pin.tasks import Task
 
-_TASK_COLUMNS = ("z", "dz", "z_ref", "error", "task_force", "given_up")
+_TASK_COLUMNS = ("z", "dz", "z_ref", "error", "task_force", "given_up", "given_up_to_limits")
 #: Called with time and joints of every sample of a run: a progress bar, a live view.
 Observer: TypeAlias = Callable[[float, JointVector], None]
 
@@ -110,10 +110,10 @@ class Recorder:
             columns["z_ref"].append(z_ref)
             columns["error"].append(task.minus(z_ref, point.z) if reference else np.full(task.m, np.nan))
             columns["task_force"].append(np.asarray(force.force(t[row])) if force else np.zeros(task.m))
-            lost = np.zeros(task.m)
-            if isinstance(controller, EosController):
-                lost = controller.given_up(t[row], q[row], dq[row], memories[row])
-            columns["given_up"].append(lost)
+            now, nothing = (t[row], q[row], dq[row], memories[row]), np.zeros(task.m)
+            columns["given_up"].append(controller.given_up(*now) if isinstance(controller, EosController) else nothing)
+            limited = controller if isinstance(controller, LimitedEosController) else None
+            columns["given_up_to_limits"].append(limited.given_up_to_limits(*now) if limited else nothing)
         info = provenance() | {
             "robot": _record(plant),
             "task": task.describe() if task else None,
@@ -142,9 +142,13 @@ class Recorder:
         lost = run.given_up_rows
         if not (run.ok and lost.any()):
             return run
-        why = "to keep the limits" if isinstance(controller, LimitedEosController) else "near a singularity of the task"
-        when = f"for {run.given_up_seconds:.3g} s, first at t = {run.t[lost][0]:.4g} s"
-        message = f"part of the task was given up {when}, {why}"
+        why = {"task": "near a singularity of the task", "limit": "to keep the limits"}
+        when = "; ".join(
+            f"{why[kind]} for {met['seconds']:.3g} s, first at t = {met['first']:.4g} s"
+            for kind, met in run.singularities.items()
+            if kind in why
+        )
+        message = f"part of the task was given up {when}"
         # While the controller settles that is to be expected; later the run has not done what it was to do.
         return replace(run, status="degraded" if lost[run.settled_row :].any() else run.status, message=message)
 
@@ -192,7 +196,8 @@ def joint_run(
     info = {"robot": _record(robot), "task": task.describe(), "controller": {"kind": "Kinematics"}, "arguments": {}}
     return Result(
         t=t, q=q, dq=still, ddq=still, tau=still,
-        z=reached, dz=0.0 * error, z_ref=z, error=error, task_force=0.0 * error, given_up=0.0 * error,
+        z=reached, dz=0.0 * error, z_ref=z, error=error, task_force=0.0 * error,
+        given_up=0.0 * error, given_up_to_limits=0.0 * error,
         v=v, dv=0.0 * v, v_ref=np.full_like(v, np.nan), chart=chart, switches=t[1:][np.diff(chart) != 0],
         kinetic_energy=rest, work=rest, period=period,
         status="unreached" if message else "finished", message=message, info=provenance() | info,

@@ -30,7 +30,7 @@ from eos_pin.systems import Friction
 from eos_pin.tasks import task_from
 
 #: Written into every file; a file with another one is refused.
-FORMAT = "eos_pin result 1"
+FORMAT = "eos_pin result 2"
 #: Task acceleration beyond rounding [m/s², rad/s²].
 GIVEN_UP = 1e-6
 
@@ -53,6 +53,7 @@ class Result:
         error: Task error `minus(z_ref, z)` [m, rad], (T, m).
         task_force: Force of the environment on the task, or on that of the `TaskForce` [N, N m], (T, k).
         given_up: Task acceleration that the control law asked for and the controller gave up, (T, m).
+        given_up_to_limits: The part of it that joint limits took; a singularity of the task took the rest, (T, m).
         v: Self-motion coordinates, (T, r).
         dv: Self-motion velocities, (T, r).
         v_ref: Self-motion that was asked for, NaN where none was, (T, r).
@@ -77,6 +78,7 @@ class Result:
     error: Float[Array, "T m"]
     task_force: Float[Array, "T k"]
     given_up: Float[Array, "T m"]
+    given_up_to_limits: Float[Array, "T m"]
     v: Float[Array, "T r"]
     dv: Float[Array, "T r"]
     v_ref: Float[Array, "T r"]
@@ -146,7 +148,26 @@ class Result:
     @property
     def given_up_seconds(self) -> float:
         """How long part of the task was given up [s]."""
-        return float((np.diff(self.t) * self.given_up_rows[1:]).sum())
+        return self._seconds(self.given_up_rows)
+
+    @property
+    def singularities(self) -> dict[str, dict[str, Any]]:
+        """Singularities by kind: of the task, of a limit, and of a chart; when each was first met, and for how long.
+
+        In the first two part of the task was given up. A chart is left before it becomes singular, at no cost.
+        """
+        taken = {"task": self.given_up - self.given_up_to_limits, "limit": self.given_up_to_limits}
+        found: dict[str, dict[str, Any]] = {}
+        for kind, values in taken.items():
+            rows = (np.abs(values) > GIVEN_UP).any(axis=1)
+            if rows.any():
+                found[kind] = {"first": float(self.t[rows][0]), "seconds": self._seconds(rows)}
+        if len(self.switches):
+            found["chart"] = {"first": float(self.switches[0]), "times": len(self.switches)}
+        return found
+
+    def _seconds(self, rows: Bool[Array, " T"]) -> float:
+        return float((np.diff(self.t) * rows[1:]).sum())
 
     def mean(self, values: Float[Array, " T"]) -> float:
         """Time average over the complete cycles after transients, or over all that comes after them."""
@@ -181,6 +202,7 @@ class Result:
             "self_motion_error_max": _largest(self.self_motion_error[late]),
             "joint_drift_per_cycle": [float(d) for d in self.joint_drift_per_cycle],
             "given_up_seconds": self.given_up_seconds,
+            "singularities": self.singularities,
             "chart_switches": len(self.switches),
             "kinetic_energy_mean": self.mean(self.kinetic_energy),
             "torque_max": _largest(self.tau),

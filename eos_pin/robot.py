@@ -76,7 +76,8 @@ class Robot:
         shapes: What has its visual and its collision geometry, read when first asked for; None without shapes.
 
     Raises:
-        RobotError: No joints, a joint with other than one degree of freedom, or M(q) singular.
+        RobotError: No joints, a joint with other than one degree of freedom, branches numbered in a mixed order, or
+            M(q) singular.
     """
 
     model: pin.Model
@@ -104,28 +105,50 @@ class Robot:
                     "eos_pin controls robots whose joints are all revolute, continuous or prismatic. Lock the joint, "
                     "or load the chain to one frame"
                 )
-        self._check_inertia()
+        self._check_order()
+        random = np.random.default_rng(0)
+        lower, upper = np.maximum(self.lower, -np.pi), np.minimum(self.upper, np.pi)
+        # Inertias that are not physical may show in some postures only; with hundreds of joints one takes long enough.
+        others = [lower + (upper - lower) * random.random(self.n) for _ in range(4)] if self.n <= 100 else []
+        for q in (np.clip(np.zeros(self.n), self.lower, self.upper), *others):
+            self._check_inertia(q)
 
-    def _check_inertia(self) -> None:
+    def _check_order(self) -> None:
+        """Refuse branches whose joints are not numbered one branch after the other."""
+        path = [0]
+        for i, parent in list(enumerate(self.model.parents))[1:]:
+            while path and path[-1] != parent:
+                path.pop()
+            if not path:
+                raise RobotError(
+                    f"joint {self.model.names[i]!r} of robot {self.name!r} belongs to a branch that was numbered "
+                    "before another one: Pinocchio's mass matrix would be wrong without a word. Add the joints of each "
+                    "branch to the model before those of the next, as loading a URDF does"
+                )
+            path.append(i)
+
+    def _check_inertia(self, q: JointVector) -> None:
         """Refuse a model whose mass matrix cannot be inverted, and name the joints that move no mass."""
-        q = np.clip(np.zeros(self.n), self.lower, self.upper)
         M = self.mass(q)
         names = self.model.names
         weightless = [names[i + 1] for i in range(self.n) if not M[i, i] > 0.0]
+        where = f"at q = {np.array2string(q, precision=3, threshold=20, max_line_width=1000)}"
         if not np.isfinite(M).all():
-            raise RobotError(f"robot {self.name!r} has a mass matrix that is not finite: check the <inertial> elements")
+            raise RobotError(
+                f"robot {self.name!r} has a mass matrix that is not finite {where}: check the <inertial> elements"
+            )
         if weightless:
             more = f" and {len(weightless) - 8} more" if len(weightless) > 8 else ""
             raise RobotError(
                 f"robot {self.name!r} cannot be controlled by torque: joints {', '.join(weightless[:8])}{more} move "
-                "no mass (M(q) is singular). Give the links beyond them an <inertial>, or lock these joints"
+                f"no mass (M(q) is singular {where}). Give the links beyond them an <inertial>, or lock these joints"
             )
         scale = 1.0 / np.sqrt(np.diag(M))
         eigenvalues = np.linalg.eigvalsh(M * scale * scale[:, None])
         if not eigenvalues[0] > SINGULAR_MASS * eigenvalues[-1]:
             raise RobotError(
-                f"robot {self.name!r} has a mass matrix that is not positive definite at {q.tolist()} (eigenvalues "
-                f"from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g} after scaling): check the <inertial> elements"
+                f"robot {self.name!r} has a mass matrix that is not positive definite {where} (eigenvalues from "
+                f"{eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g} after scaling): check the <inertial> elements"
             )
 
     # -- what the robot is ---------------------------------------------------------------------------------------

@@ -85,6 +85,18 @@ def test_track_sampled_with_everything_against_it() -> None:
     assert 1e-5 < found["task_error_max"] < 2e-2
 
 
+def test_track_pushed_with_friction_and_missed_periods() -> None:
+    words = ["track", "panda", "--rate", "1000", "--path", "line", "--size", "0.05", "--duration", "1"]
+    errors = []
+    for against in ([], ["--friction", "0.5", "0.5"], ["--push", "0", "5", "0", "--push-time", "0.4", "0.6"]):
+        found = figures(*words, *against, "--dropout", "0.1")
+        assert found["status"] == "finished"
+        errors.append(found["task_error_max"])
+    plain, rubbed, pushed = errors
+    assert plain < 1e-3 < min(rubbed, pushed)
+    assert max(rubbed, pushed) < 0.1
+
+
 def test_a_path_from_a_file_and_a_run_out_of_reach() -> None:
     Path("path.csv").write_text("t,x,y,z\n0,0.45,0,0.7\n2,0.45,0.2,0.6\n4,0.4,0,0.6\n")
     assert figures("track", "panda", "--path", "path.csv")["task_error_max"] < 1e-6
@@ -146,6 +158,9 @@ def test_robots_lists_names() -> None:
         (["track", "panda", "--q0", "1", "2"], "7 numbers"),
         (["track", "panda", "--v", "1", "2"], "4 numbers"),
         (["track", "panda", "--noise", "1"], "--rate"),
+        (["track", "panda", "--push", "1", "0", "0"], "--rate"),
+        (["track", "panda", "--rate", "1000", "--push", "1", "0", "0", "--push-time", "2", "1"], "end after it begins"),
+        (["track", "panda", "--rate", "1000", "--dropout", "1"], "below 1"),
         (["track", "panda", "--chart-margin", "1"], "below 1"),
         (["track", "panda", "--plane", "qq"], "axes"),
         (["track", "panda", "--axes", "w"], "axes"),

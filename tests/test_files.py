@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -28,7 +29,7 @@ noise = np.random.default_rng(0).normal(size=(2, 2000, 7))
 def result(k):
     column, none = noise[k][:, :1], np.zeros((2000, 0))
     joints = dict.fromkeys(("q", "dq", "ddq", "tau"), noise[k])
-    task = dict.fromkeys(("z", "dz", "z_ref", "error", "task_force", "given_up"), column)
+    task = dict.fromkeys(("z", "dz", "z_ref", "error", "task_force", "given_up", "given_up_to_limits"), column)
     rest = dict.fromkeys(("v", "dv", "v_ref"), none) | dict.fromkeys(("kinetic_energy", "work"), column[:, 0])
     chart = np.full(2000, k)
     return Result(t=np.arange(2000.0), **joints, **task, **rest, chart=chart, switches=np.zeros(0), message=str(k))
@@ -107,6 +108,23 @@ def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path)
         write_atomically(path, fail)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_next_save_removes_what_a_killed_one_left_behind(tmp_path: Path) -> None:
+    path = tmp_path / "run[1].npz"
+    # The process ends in the middle of a save, without a chance to clean up.
+    write = "lambda file: (file.write(b'half'), os._exit(0))"
+    code = f"import os, sys; from eos_pin.files import write_atomically; write_atomically(sys.argv[1], {write})"
+    for _ in range(2):
+        subprocess.run([sys.executable, "-c", code, str(path)], check=True)
+    young, old = sorted(tmp_path.iterdir())
+    foreign = [tmp_path / ".run[1].npz.notes", tmp_path / ".run1.npz.abcdefgh.part"]
+    for file in (old, *foreign):
+        file.touch()
+        os.utime(file, (0.0, 0.0))
+    write_atomically(path, lambda file: file.write(b"new"))
+    # What is young may belong to a save that is under way.
+    assert set(tmp_path.iterdir()) == {path, young, *foreign}
 
 
 def test_where_nothing_can_be_written(tmp_path: Path) -> None:

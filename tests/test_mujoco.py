@@ -230,8 +230,6 @@ def test_what_cannot_be_is_refused(panda, monkeypatch):
     model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
     with pytest.raises(InputError, match="'spindle' is a screw"):
         MujocoPlant.of(Robot(model))
-    with pytest.raises(InputError, match="branch by branch"):
-        MujocoPlant.of(branched((0, 1, 1, 2)))
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(InputError, match=r"pip install 'eos-pin\[mujoco\]'"):
         MujocoPlant.of(panda)

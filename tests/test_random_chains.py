@@ -27,3 +27,4 @@ def test_a_wrong_figure_is_noticed() -> None:
     for name in random_chains.BOUNDS:
         assert replace(figures, **{name: np.nan}).wrong == (name,)
     assert replace(figures, endings="track singular").wrong == ("endings",)
+    assert replace(figures, anywhere="diverged").wrong == ("anywhere",)

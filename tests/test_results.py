@@ -285,7 +285,7 @@ def as_npz(**arrays):
 
 def changed(run, **replaced):
     """Bytes of a saved run with some entries replaced; None leaves one out."""
-    header = {"format": "eos_pin result 1", "period": None, "status": "finished", "message": "", "info": {}}
+    header = {"format": "eos_pin result 2", "period": None, "status": "finished", "message": "", "info": {}}
     arrays = {"header": np.array(json.dumps(header))} | {name: getattr(run, name) for name in ARRAYS}
     return as_npz(**{name: value for name, value in (arrays | replaced).items() if value is not None})
 
@@ -305,7 +305,7 @@ FOREIGN = {
     "not a table": lambda run: changed(run, q=np.float64(1.0)),
     "strings": lambda run: changed(run, q=np.full(run.q.shape, "a")),
     "another format": lambda run: changed(run, header=np.array(json.dumps({"format": "eos_pin result 99"}))),
-    "half a header": lambda run: changed(run, header=np.array(json.dumps({"format": "eos_pin result 1"}))),
+    "half a header": lambda run: changed(run, header=np.array(json.dumps({"format": "eos_pin result 2"}))),
     "a list for a header": lambda run: changed(run, header=np.array("[1, 2]")),
     "no JSON": lambda run: changed(run, header=np.array("{")),
 }

@@ -236,6 +236,44 @@ def test_robots_that_cannot_be_controlled_are_refused():
         Robot(double)
 
 
+def test_inertia_that_is_bad_in_some_postures_only_is_refused():
+    model = pin.Model()
+    first = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "a")
+    second = model.addJoint(first, pin.JointModelRX(), pin.SE3.Identity(), "b")
+    model.appendBodyToJoint(first, pin.Inertia(1.0, np.zeros(3), np.diag([1.0, 1.0, 1.0])), pin.SE3.Identity())
+    # About z it is light at 0, and worth less than nothing when joint b has turned it by a right angle.
+    odd = pin.Inertia(1.0, np.zeros(3), np.eye(3))
+    odd.inertia = np.diag([1.0, -2.0, 1.0])
+    model.appendBodyToJoint(second, odd, pin.SE3.Identity())
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -3.0, 3.0
+    with pytest.raises(RobotError, match=r"no mass \(M\(q\) is singular at q = \[.*\d.*\]\)"):
+        Robot(model)
+
+
+def test_branches_in_a_mixed_order_are_refused_because_pinocchio_gets_them_wrong():
+    def tree(*parents):
+        model = pin.Model()
+        for i, parent in enumerate(parents):
+            joint = model.addJoint(parent, pin.JointModelRY(), pin.SE3.Random(), f"j{i + 1}")
+            model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+        return model
+
+    def error_of_mass(model):
+        data, q, rest = model.createData(), np.full(model.nq, 0.3), np.zeros(model.nq)
+        M = np.triu(pin.crba(model, data, q))
+        bias = pin.rnea(model, data, q, rest, rest)
+        columns = [pin.rnea(model, data, q, rest, e) - bias for e in np.eye(model.nq)]
+        return np.abs(M + np.triu(M, 1).T - columns).max()
+
+    for parents in ((0, 1, 0, 3), (0, 1, 2, 1), (0, 1, 2, 2, 1)):
+        assert error_of_mass(tree(*parents)) < 1e-12
+        assert Robot(tree(*parents)).n == len(parents)
+    for parents, name in (((0, 0, 1, 2), "j3"), ((0, 1, 1, 2), "j4")):
+        assert error_of_mass(tree(*parents)) > 1e-3
+        with pytest.raises(RobotError, match=f"'{name}'.*branch"):
+            Robot(tree(*parents))
+
+
 def test_too_many_joints_are_refused():
     with pytest.raises(RobotError, match="joints; up to"):
         Robot(chain(MOST_JOINTS + 1))
