@@ -25,7 +25,8 @@ from eos_pin.tasks import Point, Task, TaskPoint
 
 #: Up to this many joints one n × n solve is cheaper than the m × m form with its extra products.
 DENSE_SOLVE = 16
-#: What to say there.
+#: Square of the largest inverse singular value that is left as it is.
+MOST_INVERSE = FADING**-2
 EDGE = "G'U is singular: this configuration is on the edge of the chart; make a chart at it"
 
 
@@ -221,7 +222,7 @@ class Chart:
         # H = [U B, D] column by column; beyond DENSE_SOLVE it has no D.
         flat, cut = H.T.ravel(), m * b.size
         UB, D = flat[:cut], flat[cut:]
-        if info or singular or not UB.dot(UB) * self._longest * haste(dq) < FADING**-2:
+        if info or singular or not UB.dot(UB) * self._longest * haste(dq) < MOST_INVERSE:
             # The least singular value of G' is at least 1 / |U B|, so the law never fades too late.
             if smooth:
                 return self._faded(J, F, dq), 0.0

@@ -269,16 +269,12 @@ class EosController(TaskController):
         self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint
     ) -> tuple[JointVector, float]:
         """H F* + E and a bound of the chart's margin; near a singularity of the task what `Chart.drive` makes of it."""
-        F = self._asked(t, q, dq, memory, point)
+        law = memory.law
+        F = self.asked(t, q, dq, memory.chart, point) if law is None else law(t, q, dq, point)
         if memory.carried is not None and t - memory.since < LONG_AGO:
             rate = max(FORGETTING, PER_SPEED * math.sqrt(dq.dot(dq)))
             F[point.dz.size :] += math.exp(rate * (memory.since - t)) * memory.carried
         return memory.chart.drive(point.J, F, dq, smooth=self.smooth)
-
-    def _asked(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint) -> JointVector:
-        """`asked`, in the form in which it is computed fastest."""
-        law = memory.law
-        return self.asked(t, q, dq, memory.chart, point) if law is None else law(t, q, dq, point)
 
     def asked(self, t: float, q: JointVector, dq: JointVector, chart: Chart, point: TaskPoint) -> JointVector:
         """F* less the task's drift: (F_z − Ġ'dq, F_v), (n,); Eqs. (36), (45)."""
@@ -310,7 +306,7 @@ class EosController(TaskController):
         # dv is another on the new chart, and so is what the law asks of it; the difference is forgotten by and by.
         point = self.task.at(q, dq)
         ddq, _ = self._drive(t, q, dq, memory, point)
-        F = self._asked(t, q, dq, following, point)
+        F = self.asked(t, q, dq, chart, point)
         return replace(following, since=t, carried=chart.dv(ddq) - F[chart.m :])
 
     def step(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> tuple[JointVector, EosMemory]:

@@ -79,7 +79,8 @@ def is_odd(LU: Array, pivots: Array) -> bool:
 
 def haste(dq: JointVector) -> float:
     """Square of how many times faster than FAST the joints move; at least 1."""
-    return max(1.0, dq.dot(dq) / FAST**2)
+    squared = dq.dot(dq)
+    return 1.0 if squared < FAST**2 else squared / FAST**2
 
 
 def fade(J: Jacobian, b: TaskVector, dq: JointVector) -> tuple[Jacobian, TaskVector]:

@@ -107,7 +107,9 @@ class Task(ABC):
         model, data = self._model, self._data
         pin.forwardKinematics(model, data, q, dq, self._rest)
         pin.computeJointJacobians(model, data)
-        J = self._matrix(self._J(data))
+        J = self._J(data)
+        if J.ndim == 1:
+            J = self._matrix(J)
         return TaskPoint(self._z(data), J, J.dot(dq), self._drift(data))
 
     def _matrix(self, J: Array) -> Jacobian:
