@@ -94,8 +94,6 @@ class Chart:
         """Degree of redundancy n − m."""
         return self.v_bar.size
 
-    # -- coordinates -------------------------------------------------------------------------------------------------
-
     def v(self, q: JointVector) -> SelfMotionVector:
         """Self-motion coordinates v = v_bar + Vᵀ(q − q_bar); from Eq. (11)."""
         return self.basis.project(q) + self._v_zero
@@ -128,34 +126,35 @@ class Chart:
 
     # -- where the chart holds ---------------------------------------------------------------------------------------
 
-    def margin(self, J: Jacobian) -> float:
+    def margin(self, J: Jacobian, *, enough: float = math.inf) -> float:
         """How far a configuration with Jacobian J is from the edge of the chart: 1 at the base point, 0 on the edge.
 
         Cosine of the largest principal angle between the row spaces of J and of G'(q_bar). G'U is singular, and H
         does not exist, exactly where it is zero while J has full rank.
 
+        Args:
+            J: Jacobian G'(q).
+            enough: Where a lower bound exceeds this, it is returned instead, at a third of the cost: the product of the
+                cosines of all principal angles, |det(J Q)| / √det(J Jᵀ).
+
         Raises:
             SingularError: J itself has not full rank.
         """
-        L, info = lapack.dpotrf(J.dot(J.T), lower=1)
-        if info or min(L.diagonal()) <= RANK_TOLERANCE * max(L.diagonal()):
+        JQ, (L, info) = J.dot(self._row_basis), lapack.dpotrf(J.dot(J.T), lower=1)
+        diagonal = L.diagonal().tolist()
+        if info or min(diagonal) <= RANK_TOLERANCE * max(diagonal):
             check_rank(J)
-        cosines, _ = lapack.dtrtrs(L, J.dot(self._row_basis), lower=1)
+        elif enough < 1.0:
+            LU, _, _ = lapack.dgetrf(JQ)
+            product = abs(math.prod(LU.diagonal().tolist())) / math.prod(diagonal)
+            if product > enough:
+                return product
+        cosines, _ = lapack.dtrtrs(L, JQ, lower=1)
         return float(np.linalg.svd(cosines, compute_uv=False)[-1])
 
     def contains(self, J: Jacobian, threshold: float) -> bool:
-        """Whether `margin(J)` exceeds `threshold`, at a third of its cost in the usual case.
-
-        The product of the cosines of all principal angles, |det(J Q)| / √det(J Jᵀ), bounds the smallest from below.
-        """
-        LU, _, info = lapack.dgetrf(J.dot(self._row_basis))
-        L, not_positive = lapack.dpotrf(J.dot(J.T))
-        if not (info or not_positive):
-            diagonal = L.diagonal().tolist()
-            product = abs(math.prod(LU.diagonal().tolist())) / math.prod(diagonal)
-            if product > threshold and min(diagonal) > RANK_TOLERANCE * max(diagonal):
-                return True
-        return self.margin(J) > threshold
+        """Whether `margin(J)` exceeds `threshold`."""
+        return self.margin(J, enough=threshold) > threshold
 
     # -- derivatives -------------------------------------------------------------------------------------------------
 

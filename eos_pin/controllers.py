@@ -287,10 +287,15 @@ class EosController(TaskController):
         """M ddq − R, Eq. (35)."""
         return self._model.inverse_dynamics(q, dq, ddq)
 
+    def given_up(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> TaskVector:
+        point = self.task.at(q, dq)
+        ddq, _ = self._drive(t, q, dq, memory, point)
+        return self.task_acceleration(t, point) - point.J.dot(ddq) - point.drift
+
     def margin(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> float:
         _, J = self.task.linearize(q)
         try:
-            return memory.chart.margin(J) - self.atlas.threshold
+            return memory.chart.margin(J, enough=self.atlas.threshold) - self.atlas.threshold
         except SingularError:
             # No chart can be made here; the one there is serves until the task has full rank again.
             return 1.0

@@ -217,10 +217,7 @@ class LimitedEosController(EosController):
         return super().describe() | {"period": self.period, "limits": kept}
 
     def given_up(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> TaskVector:
-        point = self.task.at(q, dq)
-        ddq, _ = self._drive(t, q, dq, memory, point)
-        lost = self.task_acceleration(t, point) - point.J @ ddq - point.drift
-        return lost + self.given_up_to_limits(t, q, dq, memory)
+        return super().given_up(t, q, dq, memory) + self.given_up_to_limits(t, q, dq, memory)
 
     def given_up_to_limits(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> TaskVector:
         """The part of `given_up` that limits take, on average over a period; a singularity takes the rest."""

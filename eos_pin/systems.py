@@ -251,7 +251,7 @@ class ExtendedSystem(System):
         q, dq = self.joints(x)
         _, J = self.atlas.task.linearize(q)
         return min(
-            self.chart.margin(J) - self.atlas.threshold,
+            self.chart.margin(J, enough=self.atlas.threshold) - self.atlas.threshold,
             self.atlas.task.local_margin(x[: self.chart.m]),
             self.controller.margin(t, q, dq, self.memory),
         )
