@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from eos_pin.arrays import JointVector, VectorLike, number, spread, vector
+from eos_pin.arrays import JointVector, VectorLike, number, numbers, spread, vector
 from eos_pin.controllers import Controller
 from eos_pin.errors import InputError, StateError
 
@@ -22,7 +22,8 @@ class ControlLoop:
 
     Args:
         controller: The controller.
-        torque_limits: Cut torques at these limits, (n,) [N m or N]; True for those of the controller's robot.
+        torque_limits: Cut torques at these limits, (n,) [N m or N], infinite where there is none; True for those of the
+            controller's robot.
         jump: Distance by which joints may move between two steps beyond what their velocities say [rad or m].
 
     Attributes:
@@ -43,7 +44,9 @@ class ControlLoop:
             self._limits = self._limits if robot is None else robot.effort
         elif torque_limits is not False:
             size = np.size(torque_limits) if robot is None else robot.n
-            self._limits = spread(torque_limits, size, "the torque limits")
+            # Infinite where there is none.
+            given = np.minimum(numbers(torque_limits, "the torque limits"), np.finfo(float).max)
+            self._limits = spread(given, size, "the torque limits")
             if not (self._limits > 0.0).all():
                 raise InputError(f"the torque limits must be above 0, got {self._limits.tolist()}")
         # Without any limit a torque passes as long as its square is a number.

@@ -179,17 +179,15 @@ def simulate_sampled(
     lag = round(number(delay, "the delay", at_least=0.0) / period)
     if substeps < 1 or substeps != int(substeps):
         raise InputError(f"substeps must be a whole number of at least 1, got {substeps}")
-    limits = None
-    if torque_limits is not False:
-        limits = plant.effort if torque_limits is True else spread(torque_limits, plant.n, "the torque limits")
-        if not (limits > 0.0).all():
-            raise InputError(f"the torque limits must be above 0, got {limits.tolist()}")
     if not 0.0 <= number(dropout, "the dropout") < 1.0:
         raise InputError(f"the dropout is a probability from 0 to below 1, got {dropout}")
     random = np.random.default_rng(seed)
     system = JointSystem(plant, controller, task_force, friction)
     system.begin(q, dq)
-    loop = ControlLoop(controller, torque_limits=False, jump=math.inf)
+    if not isinstance(torque_limits, bool):
+        torque_limits = spread(torque_limits, plant.n, "the torque limits")
+    limits = plant.effort if torque_limits is True else torque_limits
+    loop = ControlLoop(controller, torque_limits=limits, jump=math.inf)
     arguments = {
         "kind": "sampled",
         "control_period": period,
@@ -200,7 +198,7 @@ def simulate_sampled(
         "delay": lag * period,
         "dropout": float(dropout),
         "friction": None if friction is None else friction.describe(),
-        "torque_limits": None if limits is None else limits.tolist(),
+        "torque_limits": None if limits is False else np.broadcast_to(limits, plant.n).tolist(),
         "seed": seed,
     }
     record = Recorder(system, sample_times(duration, rate, system.reference_period), arguments, observer)
@@ -220,8 +218,6 @@ def simulate_sampled(
             measured = [*measured, state][-lag - 1 :]
             if not (k and dropout) or random.random() >= dropout:
                 tau = loop.step(t, *measured[0])
-                if limits is not None:
-                    tau = np.clip(tau, -limits, limits)
             if loop.memory is not system.memory:
                 if k:
                     record.switches.append(t)

@@ -70,6 +70,8 @@ def test_torques_are_cut_at_the_limits_and_say_so(panda: Robot) -> None:
     assert (np.abs(tau) <= panda.effort).all()
     own = ControlLoop(EosController(task, far), torque_limits=1.0)
     assert np.abs(own.step(0.0, REST, STILL)).max() <= 1.0
+    some = ControlLoop(EosController(task, far, kp=1e4), torque_limits=[np.inf] * 6 + [0.01])
+    assert abs(some.step(0.0, REST, STILL)[6]) <= 0.01
     free = ControlLoop(EosController(task, far, kp=1e4), torque_limits=False)
     assert (np.abs(free.step(0.0, REST, STILL)) > panda.effort).any()
     assert not free.saturated
