@@ -39,12 +39,15 @@ _LIMITS = """## What the figures do not say
   adds a small regularization. Traditional control has another law for the null space, so its torque differs where the
   motion of the task does not. eos_pin evaluates its path in every step; the peers are handed the target.
 - *Inverse kinematics.* Peers take full steps from the rest posture, without limits and posture task: their fastest
-  way. eos_pin holds the self-motion coordinates too, so that the solution is determined. To random targets it walks
-  along the straight line of the task, so that the solution is connected to the start; that takes longer, and the line
-  can end at a singularity that a solver which may jump gets across. Where any solution will do, theirs is the
-  better tool.
+  way. eos_pin holds the self-motion coordinates too, so that the solution is determined. To random targets
+  `Atlas.follow` walks along the straight line of the task, so that the solution is connected to the start; that takes
+  longer, and the line can end at a singularity. `Atlas.reach` then makes detours and jumps, and it alone was asked for
+  joints within their limits here; some of the others could be asked, too. Where any solution will do and its
+  microseconds count, theirs are the better tools.
 - *Versions.* TSID is the last one that comes as a whole from PyPI, with the Pinocchio it was built with. The newer
   ones there are bindings whose library has to be built from source, against another Pinocchio than theirs.
+- *What is measured elsewhere.* `benchmarks/chains.py` (up to 1,000 joints), `benchmarks/sweep.py` (many runs on one
+  core and on two), `benchmarks/startup.py` (from process start to the first step).
 - *Memory and pauses.* The long loop runs in an ordinary Python process, and Python gives no guarantee of real time.
 """
 
@@ -97,7 +100,7 @@ def _fewer(section: Section) -> list[str]:
     found = []
     for robot in dict.fromkeys(row[0] for row in section.rows):
         rows = [row for row in section.rows if row[0] == robot]
-        own = next(row[share] for row in rows if row[1] == "eos_pin")
+        own = max(row[share] for row in rows if row[1] == "eos_pin")
         best = max((row for row in rows if row[1] != "eos_pin"), key=lambda row: (row[share], -row[mean]), default=None)
         if best is not None and (best[share] > own or best[mean] < 1.0):
             other = f"{best[1]} ({best[2]}) {best[share]:.3g} % in {best[mean]:.2g} of the time"

@@ -195,7 +195,8 @@ def random_targets(team: Crew, settings: Sequence[Setting], effort: Effort) -> S
         f"{effort.targets} random targets, {settings[0].kind}",
         ("robot", "library", "method", "reached, %", "in limits, %", "median, µs", "mean, µs", "mean × eos_pin"),
         rows,
-        "In limits: of the solutions found; no library was asked to keep limits. Failures count in the times.",
+        "In limits: of the solutions found; only eos_pin's reach and jump were asked to keep limits. Failures count in the "
+        "times.",
         figures,
     )
 
