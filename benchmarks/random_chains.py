@@ -54,8 +54,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 #: Rounding error of a number of size one.
 ROUNDING = float(np.finfo(float).eps)
-#: How far from singular tasks must be: control fades out below `FADING`, on a chart worn to half its margin below twice
-#: that, and the controller's charts are not quite those that were tried before.
+#: How far from singular tasks must be: control fades out below `FADING`, earlier where the joints are fast.
 REGULAR = 2.4 * FADING
 #: The largest figures that are right; what each is stands in `Figures`.
 BOUNDS = {
@@ -93,6 +92,7 @@ class Figures:
         hold: Task and self-motion error 2 s after a displacement and a push.
         anywhere: How a run ended that goes through whatever singularities there are: any task, from any posture, to and
             fro along a line that may lead out of reach, sampled, with a limit of speed.
+        unlimited: How the same run ended without limits.
         fastest: Largest speed of a joint in that run, in units of its limit; infinite if a torque was not finite.
         charts: Charts that tracking and integration went through.
         endings: How runs ended that did not finish; empty if all did.
@@ -113,6 +113,7 @@ class Figures:
     self_motion: float
     hold: float
     anywhere: str
+    unlimited: str
     fastest: float
     charts: int
     endings: str
@@ -122,8 +123,8 @@ class Figures:
     def wrong(self) -> tuple[str, ...]:
         """Names of the figures that are not within their bounds."""
         exceeded = tuple(name for name, bound in BOUNDS.items() if not getattr(self, name) <= bound)
-        lost = self.anywhere not in ("finished", "degraded")
-        return exceeded + (("endings",) if self.endings else ()) + (("anywhere",) if lost else ())
+        lost = (n for n in ("anywhere", "unlimited") if getattr(self, n) not in ("finished", "degraded"))
+        return exceeded + (("endings",) if self.endings else ()) + tuple(lost)
 
 
 def examine(seed: int) -> Figures:
@@ -141,7 +142,7 @@ def examine(seed: int) -> Figures:
     equivalence, one, other = _equivalence(task, q, random)
     tracked = _track(task, q, random)
     held = _hold(task, q, random)
-    free = _anywhere(tasks[random.choice(kinds)], random)
+    free, unlimited = _anywhere(tasks[random.choice(kinds)], random)
     runs = {"joint": one, "extended": other, "track": tracked, "hold": held}
     return Figures(
         seed=seed,
@@ -155,6 +156,7 @@ def examine(seed: int) -> Figures:
         self_motion=float(np.abs(tracked.self_motion_error[tracked.chart == 0]).max(initial=0.0)),
         hold=float(max(np.abs(held.error[-1]).max(), np.abs(held.self_motion_error[-1]).max(initial=0.0))),
         anywhere=free.status,
+        unlimited=unlimited.status if np.isfinite(unlimited.tau).all() else "not finite",
         fastest=float(np.abs(free.dq).max()) / SPEED if np.isfinite(free.tau).all() else np.inf,
         charts=2 + len(other.switches) + len(tracked.switches),
         endings="; ".join(
@@ -246,14 +248,19 @@ def _hold(task: Task, q: np.ndarray, random: np.random.Generator) -> Result:
     return simulate(robot, controller, displaced, 0.1 * random.normal(size=robot.n), duration=2.0)
 
 
-def _anywhere(task: Task, random: np.random.Generator) -> Result:
-    """To and fro along a line of the task's group that may lead through singularities and out of reach."""
+def _anywhere(task: Task, random: np.random.Generator) -> list[Result]:
+    """To and fro along a line of the task's group that may lead through singularities and out of reach, twice.
+
+    Returns:
+        The run with a limit of speed, and the run without.
+    """
     q, robot = _postures(task, random, 1)[0], task.robot
     z, scale = task.value(q), np.array([robot.reach if unit == "m" else 1.0 for unit in task.units])
     far = task.plus(z, scale * random.normal(size=task.m) / np.sqrt(task.m))
     path = Geodesic(task, np.array([z, far, z]), np.array([0.0, 0.75, 1.5]))
     limits = JointLimits.of(robot, velocity=SPEED)
-    return simulate_sampled(robot, LimitedEosController(task, path, limits=limits), q, duration=2.0)
+    controllers = LimitedEosController(task, path, limits=limits), EosController(task, path)
+    return [simulate_sampled(robot, controller, q, duration=2.0) for controller in controllers]
 
 
 def random_chains(
@@ -290,8 +297,9 @@ def random_chains(
         )
     columns = ("figure", "median", "99 %", "worst", "bound", "beyond", "worst seed")
     console.print(grid(f"{len(found)} random chains", columns, rows))
-    anywhere = Counter(figures.anywhere for figures in found)
-    console.print("anywhere: " + ", ".join(f"{number} {status}" for status, number in anywhere.most_common()))
+    for name in ("anywhere", "unlimited"):
+        ends = Counter(getattr(figures, name) for figures in found)
+        console.print(f"{name}: " + ", ".join(f"{number} {status}" for status, number in ends.most_common()))
     tasks = Counter(figures.task for figures in found)
     console.print("tasks: " + ", ".join(f"{number} {task}" for task, number in tasks.most_common()), soft_wrap=True)
     console.print(

@@ -124,8 +124,6 @@ class Chart:
     def _v_zero(self) -> SelfMotionVector:
         return self.v_bar - self.basis.project(self.q_bar)
 
-    # -- where the chart holds ---------------------------------------------------------------------------------------
-
     def margin(self, J: Jacobian, *, enough: float = math.inf) -> float:
         """How far a configuration with Jacobian J is from the edge of the chart: 1 at the base point, 0 on the edge.
 
@@ -224,7 +222,9 @@ class Chart:
         if info or singular or not UB.dot(UB) * self._longest * haste(dq) < MOST_INVERSE:
             # The least singular value of G' is at least 1 / |U B|, so the law never fades too late.
             if smooth:
-                return self._faded(J, F, dq), 0.0
+                # A trial state of an integrator may be beyond all numbers; the torque says so.
+                finite = math.isfinite(J.sum()) and math.isfinite(dq.dot(dq))
+                return self._faded(J, F, dq) if finite else np.full(n, math.nan), 0.0
             if info or singular:
                 raise ChartError(EDGE)
         if lifted is not None:

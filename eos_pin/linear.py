@@ -18,8 +18,8 @@ RANK_TOLERANCE = 1e-7
 #: Below this singular value a direction fades out of a control law: 0.05 of the robot's reach per radian.
 FADING = 0.05
 #: Joint speed beyond which directions fade out earlier: the length of dq [rad/s or m/s].
-FAST = 10.0
-#: Rate at which motion in a direction that fades out is braked [1/s].
+FAST = 4.0
+#: Rate at which motion in a direction that fades out is braked [1/s]; more for joints faster than that, in proportion.
 BRAKING = 20.0
 
 
@@ -87,10 +87,10 @@ def fade(J: Jacobian, b: TaskVector, dq: JointVector) -> tuple[Jacobian, TaskVec
     """Y and c such that Y x = c says J x = b as far as it can without trouble, for accelerations x of joints that move.
 
     The rows of Y are orthonormal, so that x = Yᵀ c is the solution where J is square. A singular value s of J below ε
-    counts as s/ε² instead of 1/s, so that its direction fades out, and braking −BRAKING dq takes its place by the part
-    1 − s²/ε²; above ε nothing is changed. So x is bounded and continuous where J loses rank. ε is FADING, and more for
-    joints that are already too fast: Coriolis terms grow with the square of their speed, and as ε² does so too, what
-    remains of them is bounded while the braking grows, so that no motion runs away.
+    counts as s/ε² instead of 1/s, so that its direction fades out, and braking −β dq takes its place by the part
+    1 − s²/ε²; above ε nothing is changed. So x is bounded and continuous where J loses rank. ε and β are FADING and
+    BRAKING, and grow in proportion to the speed of joints that are faster than FAST: Coriolis terms grow with the
+    square of the speed, and as ε² does so too, what remains of them is bounded while the braking grows.
 
     Args:
         J: Jacobian, its rows weighted so that singular values compare.
@@ -98,7 +98,8 @@ def fade(J: Jacobian, b: TaskVector, dq: JointVector) -> tuple[Jacobian, TaskVec
         dq: Joint velocities.
     """
     X, s, Y = np.linalg.svd(J, full_matrices=False)
-    epsilon = FADING * math.sqrt(haste(dq))
+    speed = math.sqrt(haste(dq))
+    epsilon, beta = speed * FADING, speed * BRAKING
     kept = np.minimum((s / epsilon) ** 2, 1.0)
     gain = np.minimum(s / epsilon**2, 1.0 / np.maximum(s, epsilon))
-    return Y, gain * (X.T @ b) - (1.0 - kept) * BRAKING * (Y @ dq)
+    return Y, gain * (X.T @ b) - (1.0 - kept) * beta * (Y @ dq)

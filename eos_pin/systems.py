@@ -242,8 +242,12 @@ class ExtendedSystem(System):
 
     def _inverse(self, x: Vector) -> Inverse:
         m, n = self.chart.m, self.chart.n
-        z = self.atlas.task.plus(self.chart.z_bar, x[:m])
-        return self.chart.inverse(z, x[m:n], start=self._near, tol=1e-13)
+        chart, task = self.chart, self.atlas.task
+        z = task.plus(chart.z_bar, x[:m])
+        found = chart.inverse(z, x[m:n], start=self._near, tol=1e-13)
+        # To rounding: an integrator takes what is left for motion.
+        u = found.u + found.B.dot(task.minus(task.value(found.q), z))
+        return found._replace(q=chart.q(x[m:n], u), u=u)
 
     def margin(self, t: float, x: Vector) -> float:
         # Newton's method starts from the last state that was accepted, never from one that was only tried.

@@ -531,7 +531,7 @@ def test_what_fades_is_bounded_and_braked(size, seed, fraction, speed):
     haste = max(1.0, abs(speed) / linear.FAST)
     fraction /= haste
     asked = fraction / (haste * linear.FADING) * (X.T @ b)[-1]
-    braking = -(1.0 - fraction**2) * linear.BRAKING * speed
+    braking = -(1.0 - fraction**2) * haste * linear.BRAKING * speed
     assert Y[-1] @ x == pytest.approx(asked + braking, abs=1e-9 * max(1.0, abs(speed)))
     # All other directions have what was asked for.
     np.testing.assert_allclose((Y @ x)[:-1], (X.T @ b)[:-1] / values[:-1], atol=1e-9 * max(1.0, abs(speed)))
@@ -551,7 +551,8 @@ def test_acceleration_fades_only_near_singularities(task, data):
             if np.linalg.svd(chart.U, compute_uv=False)[-1] > 0.5 * max(1.0, task.robot.reach):
                 np.testing.assert_allclose(chart.drive(chart.U.T, ddw, dq)[0], plain, atol=1e-9 * np.abs(plain).max())
             lost, _ = chart.drive(0.0 * chart.U.T, ddw, dq)
-            most = linear.BRAKING * np.linalg.norm(dq) + np.linalg.norm(ddw)
+            speed = np.linalg.norm(dq)
+            most = linear.BRAKING * speed * max(1.0, speed / linear.FAST) + np.linalg.norm(ddw)
             assert np.linalg.norm(lost) <= 2.0 * most / linear.FADING
 
 

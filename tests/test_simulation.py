@@ -404,7 +404,7 @@ def test_the_torque_is_continuous_through_singularities_and_changes_of_chart(pan
     def largest(period):
         controller = EosController(task, path)
         run = simulate_sampled(panda, controller, REST, duration=0.3, period=period, rate=1.0 / period)
-        assert len(run.switches) >= 3
+        assert len(run.switches) >= 2
         assert run.given_up_seconds > 0.005
         return np.abs(np.diff(run.tau, axis=0)).max()
 
