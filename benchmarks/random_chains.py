@@ -259,8 +259,9 @@ def _anywhere(task: Task, random: np.random.Generator) -> list[Result]:
     far = task.plus(z, scale * random.normal(size=task.m) / np.sqrt(task.m))
     path = Geodesic(task, np.array([z, far, z]), np.array([0.0, 0.75, 1.5]))
     limits = JointLimits.of(robot, velocity=SPEED)
-    controllers = LimitedEosController(task, path, limits=limits), EosController(task, path)
-    return [simulate_sampled(robot, controller, q, duration=2.0) for controller in controllers]
+    # Without limits joints get so fast that they would go a tenth of a radian in a millisecond.
+    controllers = (LimitedEosController(task, path, limits=limits), 1e-3), (EosController(task, path), 5e-4)
+    return [simulate_sampled(robot, controller, q, duration=2.0, period=period) for controller, period in controllers]
 
 
 def random_chains(
