@@ -247,10 +247,11 @@ class Chart:
 
     def _system(self, J: Jacobian, F: JointVector) -> tuple[Array, Array, JointVector | None]:
         """A and b of A x = b; x is the acceleration that `F` asks for, for many joints its part beside V F_v."""
-        m = self.U.shape[1]
-        if F.size <= DENSE_SOLVE:
-            self._stacked[:m] = J
-            return self._stacked, F, None
+        n, m = self.U.shape
+        if n <= DENSE_SOLVE:
+            A = self._stacked
+            A[:m] = J
+            return A, F, None
         lifted = self.basis.apply(F[m:])
         return J.dot(self._row_basis), F[:m] - J.dot(lifted), lifted
 

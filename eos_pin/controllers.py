@@ -158,7 +158,7 @@ class EosMemory:
 class TrackingLaw:
     """`EosController.asked` for self-motion that is tracked, as one product at half the price; Eqs. (36), (45).
 
-    (F_z − Ġ'dq, F_v) = K (z_d − z, dz_d − dz, ddz_d − Ġ'dq, q_d − q, −dq), where any q_d with Vᵀ q_d = v_d serves.
+    (F_z − Ġ'dq, F_v) = K (z_d − z, dz_d − dz, ddz_d − Ġ'dq, q_d − q, dq), where any q_d with Vᵀ q_d = v_d serves.
 
     Args:
         controller: Whose law it is.
@@ -172,25 +172,27 @@ class TrackingLaw:
         self._chart, (self._kp, self._kd, self._v_reference) = chart, track.law(chart.r)
         self._K = np.zeros((n, 3 * m + 2 * n))
         self._K[:m, : 3 * m] = np.hstack((np.diag(controller.kp), np.diag(controller.kd), np.eye(m)))
-        self._K[m:, 3 * m :] = np.hstack((self._kp[:, None] * chart.Vt, self._kd[:, None] * chart.Vt))
+        self._K[m:, 3 * m :] = np.hstack((self._kp[:, None] * chart.Vt, -self._kd[:, None] * chart.Vt))
         self._q_d = chart.q(self._v_reference(0.0).z, np.zeros(m))
         self._v_moves = not isinstance(self._v_reference, Hold)
         # Workspace, with views of its parts.
-        self._wanted, self._found = np.zeros((2, 3 * m + 2 * n))
-        parts = np.cumsum((m, m, m, n))
-        self._e_z, self._dz_d, self._ddz_d, q_d, _ = np.split(self._wanted, parts)
-        q_d[:] = self._q_d
-        _, self._dz, self._drift, self._q, self._dq = np.split(self._found, parts)
+        self._errors = np.zeros(3 * m + 2 * n)
+        self._e_z, self._e_dz, self._e_ddz, self._e_q, self._e_dq = np.split(self._errors, np.cumsum((m, m, m, n)))
+        self._rest = np.zeros(m)
 
     def __call__(self, t: float, q: JointVector, dq: JointVector, point: TaskPoint) -> JointVector:
         """(F_z − Ġ'dq, F_v) at a state."""
         z, _, dz, drift = point
         z_d, dz_d, ddz_d = self._reference(t)
+        if not self._feedforward:
+            dz_d = ddz_d = self._rest
         self._e_z[:] = self._task.minus(z_d, z)
-        if self._feedforward:
-            self._dz_d[:], self._ddz_d[:] = dz_d, ddz_d
-        self._dz[:], self._drift[:], self._q[:], self._dq[:] = dz, drift, q, dq
-        F = self._K.dot(self._wanted - self._found)
+        subtract = np.subtract
+        subtract(dz_d, dz, self._e_dz)
+        subtract(ddz_d, drift, self._e_ddz)
+        subtract(self._q_d, q, self._e_q)
+        self._e_dq[:] = dq
+        F = self._K.dot(self._errors)
         if self._v_moves:
             v_d, dv_d, ddv_d = self._v_reference(t)
             F[dz.size :] += self._kp * (v_d - self._chart.v(self._q_d)) + self._kd * dv_d + ddv_d

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -37,6 +37,10 @@ class Target(NamedTuple):
     z: Point
     dz: TaskVector
     ddz: TaskVector
+
+
+#: A target from a tuple of its parts, in half the time that `Target(…)` takes.
+_target = partial(tuple.__new__, Target)
 
 
 class Trajectory(ABC):
@@ -140,16 +144,15 @@ class Waves:
         self.phase, self.frequencies, self.blocks = phase, frequencies, (z, dz, ddz)
         self._rows = np.hstack(self.blocks)
         self._cuts = z.shape[1], z.shape[1] + dz.shape[1]
+        self._waves = np.ones(len(z))  # workspace; the last stays 1
 
     def __call__(self, t: float) -> Target:
-        t = t + self.phase
-        waves: list[float] = []
-        for omega in self.frequencies:
-            waves += math.sin(omega * t), math.cos(omega * t)
-        waves.append(1.0)
-        together = np.array(waves).dot(self._rows)
+        t, waves = t + self.phase, self._waves
+        for k, omega in enumerate(self.frequencies):
+            waves[2 * k], waves[2 * k + 1] = math.sin(omega * t), math.cos(omega * t)
+        together = waves.dot(self._rows)
         i, j = self._cuts
-        return Target(together[:i], together[i:j], together[j:])
+        return _target((together[:i], together[i:j], together[j:]))
 
 
 def line(center: VectorLike, stroke: VectorLike, *, period: float) -> Harmonic:
