@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eos_pin.arrays import Array, Matrix, VectorLike, numbers
-from eos_pin.charts import DENSE_SOLVE, Chart
+from eos_pin.charts import DENSE_SOLVE, MOST_INVERSE, Chart
 from eos_pin.controllers import Controller, EosController
 from eos_pin.errors import InputError, InverseError
-from eos_pin.linear import FADING, FAST
+from eos_pin.linear import haste
 from eos_pin.objectives import Track
 from eos_pin.trajectories import Trajectory
 
@@ -146,8 +146,8 @@ def _eos_torques(controller: EosController, t: Numbers, q: JointTable, dq: Joint
     model = controller._model
     tau = np.array([model.inverse_dynamics(*row) for row in zip(q, dq, ddq, strict=True)])
     # Wherever a direction might fade out of the law the controller itself decides.
-    haste = np.maximum(1.0, np.einsum("ki,ki->k", dq, dq) / FAST**2)
-    fading = np.einsum("kij,kij->k", H, H) * max(1.0, task.robot.reach**2) * haste >= FADING**-2
+    hastes = np.array([haste(row) for row in dq])
+    fading = np.einsum("kij,kij->k", H, H) * max(1.0, task.robot.reach**2) * hastes >= MOST_INVERSE
     if fading.any():
         tau[fading] = _one_by_one(controller, t[fading], q[fading], dq[fading], memory)
     return tau

@@ -169,11 +169,12 @@ class TrackingLaw:
     def __init__(self, controller: TaskController, chart: Chart, track: Track) -> None:
         m, n = chart.m, chart.n
         self._task, self._reference, self._feedforward = controller.task, controller.reference, controller.feedforward
-        self._chart, (self._kp, self._kd, self._v_reference) = chart, track.law(chart.r)
+        self._kp, self._kd, self._v_reference = track.law(chart.r)
         self._K = np.zeros((n, 3 * m + 2 * n))
         self._K[:m, : 3 * m] = np.hstack((np.diag(controller.kp), np.diag(controller.kd), np.eye(m)))
         self._K[m:, 3 * m :] = np.hstack((self._kp[:, None] * chart.Vt, -self._kd[:, None] * chart.Vt))
-        self._q_d = chart.q(self._v_reference(0.0).z, np.zeros(m))
+        self._v_start = self._v_reference(0.0).z
+        self._q_d = chart.q(self._v_start, np.zeros(m))
         self._v_moves = not isinstance(self._v_reference, Hold)
         # Workspace, with views of its parts.
         self._errors = np.zeros(3 * m + 2 * n)
@@ -195,7 +196,7 @@ class TrackingLaw:
         F = self._K.dot(self._errors)
         if self._v_moves:
             v_d, dv_d, ddv_d = self._v_reference(t)
-            F[dz.size :] += self._kp * (v_d - self._chart.v(self._q_d)) + self._kd * dv_d + ddv_d
+            F[dz.size :] += self._kp * (v_d - self._v_start) + self._kd * dv_d + ddv_d
         return F
 
 
