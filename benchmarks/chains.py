@@ -29,6 +29,7 @@ from rich.progress import track
 from eos_pin import Chart, ControlLoop, EosController, Hold, PositionTask, Robot
 from eos_pin.cli import run
 from eos_pin.controllers import EosMemory
+from eos_pin.driving import Drive
 from eos_pin.report import console, grid, stderr, write_json
 
 #: Length [m] and mass [kg] of each chain, and the angle its arc turns through [rad].
@@ -93,7 +94,7 @@ class Bench:
         loop = ControlLoop(self.controller)
         loop.step(0.0, *self.state)
         if before is not None:
-            loop.memory = self.controller.update(0.0, *self.state, EosMemory(before))
+            loop.memory = self.controller.update(0.0, *self.state, EosMemory(Drive(before)))
         return lambda: loop.step(0.0, *self.state)
 
     def inverse(self, distance: float, *, refresh: bool) -> Callable[[], Any]:

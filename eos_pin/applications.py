@@ -24,8 +24,9 @@ from eos_pin.orientations import HeadingTask, PoseTask
 from eos_pin.positions import PositionTask
 from eos_pin.recording import joint_run
 from eos_pin.results import Result
+from eos_pin.targets import Hold, Trajectory
 from eos_pin.tasks import StackedTask, Task
-from eos_pin.trajectories import Harmonic, Hold, StackedTrajectory, Trajectory, figure_eight
+from eos_pin.trajectories import Harmonic, StackedTrajectory, figure_eight
 
 #: Colours of obstacles at rest, and of those that move; they can be told apart without seeing colours.
 RESTING, MOVING = (0.80, 0.47, 0.65, 0.9), (0.90, 0.62, 0.0, 0.9)

@@ -12,8 +12,8 @@ from eos_pin.atlas import Atlas, JointPath
 from eos_pin.charts import Chart
 from eos_pin.clearance import Clearance
 from eos_pin.errors import InputError, SingularError
+from eos_pin.targets import Trajectory
 from eos_pin.tasks import Point
-from eos_pin.trajectories import Trajectory
 
 #: A step of v this small, as a fraction of the longest one, is the last one at its point.
 SETTLED = 1e-2

@@ -20,8 +20,8 @@ from eos_pin.errors import InputError, SingularError
 from eos_pin.linear import RANK_TOLERANCE, check_rank
 from eos_pin.objectives import ReduceKineticEnergy
 from eos_pin.robot import Robot
+from eos_pin.targets import Trajectory
 from eos_pin.tasks import Task
-from eos_pin.trajectories import Trajectory
 
 
 class NullSpaceLaw(ABC):

@@ -14,12 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eos_pin.arrays import Array, Matrix, VectorLike, numbers
-from eos_pin.charts import DENSE_SOLVE, MOST_INVERSE, Chart
+from eos_pin.charts import DENSE_SOLVE, Chart
 from eos_pin.controllers import Controller, EosController
 from eos_pin.errors import InputError, InverseError
 from eos_pin.linear import haste
 from eos_pin.objectives import Track
-from eos_pin.trajectories import Trajectory
+from eos_pin.targets import Trajectory
 
 #: A number for each state, and a row of joints, of the task or of the self-motion for each.
 Numbers: TypeAlias = Float[np.ndarray, " K"]
@@ -147,7 +147,7 @@ def _eos_torques(controller: EosController, t: Numbers, q: JointTable, dq: Joint
     tau = np.array([model.inverse_dynamics(*row) for row in zip(q, dq, ddq, strict=True)])
     # Wherever a direction might fade out of the law the controller itself decides.
     hastes = np.array([haste(row) for row in dq])
-    fading = np.einsum("kij,kij->k", H, H) * max(1.0, task.robot.reach**2) * hastes >= MOST_INVERSE
+    fading = np.einsum("kij,kij->k", H, H) * hastes >= memory.drive.most
     if fading.any():
         tau[fading] = _one_by_one(controller, t[fading], q[fading], dq[fading], memory)
     return tau

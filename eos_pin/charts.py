@@ -19,14 +19,12 @@ from scipy.linalg import lapack
 from eos_pin.arrays import Array, Jacobian, JointVector, SelfMotionVector, TaskVector, VectorLike, readonly, vector
 from eos_pin.bases import Basis, carried, null_basis
 from eos_pin.errors import ChartError, InverseError
-from eos_pin.linear import FADING, RANK_TOLERANCE, check_rank, fade, haste, iterated_inverse
+from eos_pin.linear import RANK_TOLERANCE, check_rank, iterated_inverse
 from eos_pin.newton import Inverse, newton, walk
 from eos_pin.tasks import Point, Task, TaskPoint
 
 #: Up to this many joints one n × n solve is cheaper than the m × m form with its extra products.
 DENSE_SOLVE = 16
-#: Square of the largest inverse singular value that is left as it is.
-MOST_INVERSE = FADING**-2
 EDGE = "G'U is singular: this configuration is on the edge of the chart; make a chart at it"
 
 
@@ -42,6 +40,7 @@ class Chart:
         U: Transposed Jacobian at q_bar, (n, m); Eq. (10).
         B_bar: (UᵀU)⁻¹, (m, m); Eq. (15) at q_bar.
         basis: Orthonormal basis V of the Jacobian's null space at q_bar; for many joints it is not written out.
+        row_basis: Orthonormal basis of its row space there, (n, m).
     """
 
     task: Task
@@ -51,8 +50,7 @@ class Chart:
     U: Float[Array, "n m"]
     B_bar: Float[Array, "m m"]
     basis: Basis
-    #: Orthonormal basis of the row space of the Jacobian at q_bar.
-    _row_basis: Float[Array, "n m"]
+    row_basis: Float[Array, "n m"]
 
     @classmethod
     def at(cls, task: Task, q: VectorLike, *, previous: Chart | None = None) -> Chart:
@@ -75,7 +73,7 @@ class Chart:
         if previous is None:
             v_bar, basis = np.zeros(task.robot.n - task.m), null_basis(J, row_basis)
         else:
-            v_bar, basis = previous.v(q_bar), carried(previous.basis, previous._row_basis, row_basis)
+            v_bar, basis = previous.v(q_bar), carried(previous.basis, previous.row_basis, row_basis)
         z_bar, v_bar, U, B_bar = (readonly(array) for array in (z_bar, v_bar, J.T, np.linalg.inv(J @ J.T)))
         return cls(task, q_bar, z_bar, v_bar, U, B_bar, basis, row_basis)
 
@@ -138,7 +136,7 @@ class Chart:
         Raises:
             SingularError: J itself has not full rank.
         """
-        JQ, (L, info) = J.dot(self._row_basis), lapack.dpotrf(J.dot(J.T), lower=1)
+        JQ, (L, info) = J.dot(self.row_basis), lapack.dpotrf(J.dot(J.T), lower=1)
         diagonal = L.diagonal().tolist()
         if info or min(diagonal) <= RANK_TOLERANCE * max(diagonal):
             check_rank(J)
@@ -189,81 +187,29 @@ class Chart:
         Raises:
             ChartError: [G'; Vᵀ] is singular.
         """
-        A, b, lifted = self._system(J, np.concatenate((task, self_motion)))
+        A, b, lifted = self.system(J, np.concatenate((task, self_motion)))
         _, _, x, info = lapack.dgesv(A, b)
         if info:
             raise ChartError(EDGE)
-        return x if lifted is None else lifted + self._row_basis.dot(x)
+        return x if lifted is None else lifted + self.row_basis.dot(x)
 
-    def drive(self, J: Jacobian, F: JointVector, dq: JointVector, *, smooth: bool = True) -> tuple[JointVector, float]:
-        """Joint acceleration of a control law: like `acceleration`, but bounded and continuous at task singularities.
-
-        Directions of the task that are being lost fade out of the law and are braked; see `eos_pin.linear.fade`.
+    def system(self, J: Jacobian, F: JointVector) -> tuple[Array, Array, JointVector | None]:
+        """A and b of A x = b; x is the acceleration that `F` asks for, for many joints its part beside V F_v.
 
         Args:
             J: Jacobian G'(q).
-            F: Acceleration asked of w = (z, v), the task's part without its drift, (n,).
-            dq: Joint velocities, to be braked.
-            smooth: Whether they do; if not, this is `acceleration`.
+            F: Acceleration of w = (z, v), the task's part without its drift, (n,).
 
         Returns:
-            The acceleration, and a lower bound of the chart's margin that is got on the way, 0 where nothing is known.
-
-        Raises:
-            ChartError: [G'; Vᵀ] is singular, and nothing fades.
+            A, b, and V F_v; without the last, x is all.
         """
-        n, m = self.U.shape
-        A, b, lifted = self._system(J, F)
-        LU, pivots, info = lapack.dgetrf(A)
-        H, singular = lapack.dgetri(LU, pivots, overwrite_lu=1)
-        # H = [U B, D] column by column; beyond DENSE_SOLVE it has no D.
-        flat, cut = H.T.ravel(), m * b.size
-        UB, D = flat[:cut], flat[cut:]
-        if info or singular or not UB.dot(UB) * self._longest * haste(dq) < MOST_INVERSE:
-            # The least singular value of G' is at least 1 / |U B|, so the law never fades too late.
-            if smooth:
-                # A trial state of an integrator may be beyond all numbers; the torque says so.
-                finite = math.isfinite(J.sum()) and math.isfinite(dq.dot(dq))
-                return self._faded(J, F, dq) if finite else np.full(n, math.nan), 0.0
-            if info or singular:
-                raise ChartError(EDGE)
-        if lifted is not None:
-            return lifted + self._row_basis.dot(H.dot(b)), 0.0
-        # The singular values of D are the inverse cosines of the angles that `margin` speaks of; all are at least 1, so
-        # the largest is at most what their squares leave beyond the others.
-        return H.dot(b), 1.0 / math.sqrt(max(D.dot(D) - n + m + 1.0, 1.0))
-
-    def _faded(self, J: Jacobian, F: JointVector, dq: JointVector) -> JointVector:
-        """The acceleration of `drive` where the task may be singular."""
-        m, Q = self.m, self._row_basis
-        Y, c = fade(J / self._metres[:, None], F[:m] / self._metres, dq)
-        # Once more for the self-motion: a chart that is worn and cannot be renewed, and joints far too fast.
-        if self.n <= DENSE_SOLVE:
-            X, x = fade(np.vstack((Y, self.Vt)), np.concatenate((c, F[m:])), dq)
-            return X.T @ x
-        lifted = self.basis.apply(F[m:])
-        X, x = fade(Y @ Q, c - Y @ lifted, Q.T @ dq)
-        return lifted + Q @ (X.T @ x)
-
-    def _system(self, J: Jacobian, F: JointVector) -> tuple[Array, Array, JointVector | None]:
-        """A and b of A x = b; x is the acceleration that `F` asks for, for many joints its part beside V F_v."""
         n, m = self.U.shape
         if n <= DENSE_SOLVE:
             A = self._stacked
             A[:m] = J
             return A, F, None
         lifted = self.basis.apply(F[m:])
-        return J.dot(self._row_basis), F[:m] - J.dot(lifted), lifted
-
-    @cached_property
-    def _metres(self) -> JointVector:
-        """Unit of each row of G', so that singular values compare: metres are measured in reaches."""
-        return np.array([self.task.robot.reach if unit == "m" else 1.0 for unit in self.task.units])
-
-    @cached_property
-    def _longest(self) -> float:
-        """Square of the largest of `_metres`."""
-        return float(self._metres.max(initial=1.0) ** 2)
+        return J.dot(self.row_basis), F[:m] - J.dot(lifted), lifted
 
     @cached_property
     def _stacked(self) -> Float[Array, "n n"]:

@@ -18,12 +18,13 @@ import numpy as np
 
 from eos_pin.arrays import Jacobian, JointVector, SelfMotionVector, TaskVector, VectorLike, readonly, spread, vector
 from eos_pin.atlas import Atlas
-from eos_pin.charts import DENSE_SOLVE, Chart
+from eos_pin.charts import Chart
+from eos_pin.driving import Drive
 from eos_pin.errors import InputError, SingularError
 from eos_pin.objectives import Objective, Track
 from eos_pin.robot import Robot
+from eos_pin.targets import Target, Trajectory
 from eos_pin.tasks import Task, TaskPoint
-from eos_pin.trajectories import Hold, Target, Trajectory
 
 #: Rate at which the acceleration that is carried over to the next chart is forgotten [1/s], and that for every radian
 #: per second of joint speed: it has to be gone before a fast robot is through with the chart.
@@ -141,63 +142,23 @@ class EosMemory:
     """What `EosController` remembers.
 
     Attributes:
-        chart: The chart it is on.
+        drive: What turns the law into joint accelerations on the chart it is on.
         number: How many charts came before it.
-        law: The controller's law on this chart, where it has the form of a `TrackingLaw`.
+        law: The law and `drive` in one, compiled, where there is that.
         since: Time from which the chart is used [s].
         carried: What the self-motion acceleration lacked then to that on the chart before, (r,); None on the first.
     """
 
-    chart: Chart
+    drive: Drive
     number: int = 0
-    law: TrackingLaw | None = None
+    law: Any = None
     since: float = 0.0
     carried: SelfMotionVector | None = None
 
-
-class TrackingLaw:
-    """`EosController.asked` for self-motion that is tracked, as one product at half the price; Eqs. (36), (45).
-
-    (F_z − Ġ'dq, F_v) = K (z_d − z, dz_d − dz, ddz_d − Ġ'dq, q_d − q, dq), where any q_d with Vᵀ q_d = v_d serves.
-
-    Args:
-        controller: Whose law it is.
-        chart: The chart it is for.
-        track: What the self-motion tracks.
-    """
-
-    def __init__(self, controller: TaskController, chart: Chart, track: Track) -> None:
-        m, n = chart.m, chart.n
-        self._task, self._reference, self._feedforward = controller.task, controller.reference, controller.feedforward
-        self._kp, self._kd, self._v_reference = track.law(chart.r)
-        self._K = np.zeros((n, 3 * m + 2 * n))
-        self._K[:m, : 3 * m] = np.hstack((np.diag(controller.kp), np.diag(controller.kd), np.eye(m)))
-        self._K[m:, 3 * m :] = np.hstack((self._kp[:, None] * chart.Vt, -self._kd[:, None] * chart.Vt))
-        self._v_start = self._v_reference(0.0).z
-        self._q_d = chart.q(self._v_start, np.zeros(m))
-        self._v_moves = not isinstance(self._v_reference, Hold)
-        # Workspace, with views of its parts.
-        self._errors = np.zeros(3 * m + 2 * n)
-        self._e_z, self._e_dz, self._e_ddz, self._e_q, self._e_dq = np.split(self._errors, np.cumsum((m, m, m, n)))
-        self._rest = np.zeros(m)
-
-    def __call__(self, t: float, q: JointVector, dq: JointVector, point: TaskPoint) -> JointVector:
-        """(F_z − Ġ'dq, F_v) at a state."""
-        z, _, dz, drift = point
-        z_d, dz_d, ddz_d = self._reference(t)
-        if not self._feedforward:
-            dz_d = ddz_d = self._rest
-        self._e_z[:] = self._task.minus(z_d, z)
-        subtract = np.subtract
-        subtract(dz_d, dz, self._e_dz)
-        subtract(ddz_d, drift, self._e_ddz)
-        subtract(self._q_d, q, self._e_q)
-        self._e_dq[:] = dq
-        F = self._K.dot(self._errors)
-        if self._v_moves:
-            v_d, dv_d, ddv_d = self._v_reference(t)
-            F[dz.size :] += self._kp * (v_d - self._v_start) + self._kd * dv_d + ddv_d
-        return F
+    @property
+    def chart(self) -> Chart:
+        """The chart it is on."""
+        return self.drive.chart
 
 
 class EosController(TaskController):
@@ -239,7 +200,7 @@ class EosController(TaskController):
         smooth: bool = True,
     ) -> None:
         super().__init__(task, reference, kp=kp, kd=kd, feedforward=feedforward, gravity=gravity)
-        self.smooth = smooth
+        self.smooth, self._rest = smooth, readonly(np.zeros(task.m))
         self.self_motion = self_motion or Track()
         self.atlas = atlas or Atlas(task)
         if self.atlas.task is not task:
@@ -256,12 +217,11 @@ class EosController(TaskController):
         return memory
 
     def _memory(self, chart: Chart, number: int) -> EosMemory:
-        track = self.self_motion
-        own = type(self).task_acceleration is not TaskController.task_acceleration
-        # The product is dense, so for many joints its terms one by one are cheaper.
-        if own or type(track) is not Track or chart.n > DENSE_SOLVE:
-            return EosMemory(chart, number)
-        return EosMemory(chart, number, TrackingLaw(self, chart, track))
+        drive, track, law = Drive(chart, smooth=self.smooth), self.self_motion, None
+        # A law of one's own is used as it is.
+        if type(track) is Track and type(self).task_acceleration is TaskController.task_acceleration:
+            law = drive.tracking_law(self.kp, self.kd, *track.law(chart.r))
+        return EosMemory(drive, number, law)
 
     def torque(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> JointVector:
         point = self.task.at(q, dq)
@@ -272,12 +232,22 @@ class EosController(TaskController):
         self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint
     ) -> tuple[JointVector, float]:
         """H F* + E and a bound of the chart's margin; near a singularity of the task what `Chart.drive` makes of it."""
-        law = memory.law
-        F = self.asked(t, q, dq, memory.chart, point) if law is None else law(t, q, dq, point)
+        more = None
         if memory.carried is not None and t - memory.since < LONG_AGO:
             rate = max(FORGETTING, PER_SPEED * math.sqrt(dq.dot(dq)))
-            F[point.dz.size :] += math.exp(rate * (memory.since - t)) * memory.carried
-        return memory.chart.drive(point.J, F, dq, smooth=self.smooth)
+            more = math.exp(rate * (memory.since - t)) * memory.carried
+        if memory.law is not None:
+            z_d, dz_d, ddz_d = self.reference(t)
+            if not self.feedforward:
+                dz_d = ddz_d = self._rest
+            error = self.task.minus(z_d, point.z)
+            driven = memory.law(error, dz_d, ddz_d, point.J, point.drift, q, dq, more)
+            if driven is not None:
+                return driven
+        F = self.asked(t, q, dq, memory.chart, point)
+        if more is not None:
+            F[point.dz.size :] += more
+        return memory.drive(point.J, F, dq)
 
     def asked(self, t: float, q: JointVector, dq: JointVector, chart: Chart, point: TaskPoint) -> JointVector:
         """F* less the task's drift: (F_z − Ġ'dq, F_v), (n,); Eqs. (36), (45)."""

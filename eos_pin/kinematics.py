@@ -10,8 +10,8 @@ from eos_pin.dynamics import pseudoinverse
 from eos_pin.errors import SingularError
 from eos_pin.recording import joint_run, sample_times
 from eos_pin.results import Result
+from eos_pin.targets import Trajectory
 from eos_pin.tasks import Task
-from eos_pin.trajectories import Trajectory
 
 #: Samples kept per second, besides the exact multiples of the path's period.
 RATE = 50.0

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from eos_pin.arrays import JointVector, VectorLike, number, numbers, spread, vector
+from eos_pin.compiled import twin
 from eos_pin.controllers import Controller
 from eos_pin.errors import InputError, StateError
 
@@ -50,7 +51,8 @@ class ControlLoop:
             if not (self._limits > 0.0).all():
                 raise InputError(f"the torque limits must be above 0, got {self._limits.tolist()}")
         # Without any limit a torque passes as long as its square is a number.
-        self._per_limit = np.maximum(1.0 / self._limits, 1e-150)
+        per_limit = np.maximum(1.0 / self._limits, 1e-150)
+        self._per_limit = np.array(np.broadcast_to(per_limit, self._shape or per_limit.shape), ndmin=1)
         self.reset()
 
     def reset(self) -> None:
@@ -72,26 +74,17 @@ class ControlLoop:
             q_now, dq_now = self._checked(q, "q"), self._checked(dq, "dq")
             self._start(t, q_now, dq_now)
         else:
-            try:
-                moved = q_now - last[1]
-                # The length of the move bounds each joint's, so the usual case is one product; NaN never passes.
-                usual = moved.dot(moved) < self._jump_squared and last[0] <= t < math.inf
-                usual = usual and math.isfinite(dq_now.dot(dq_now)) and q_now.shape == dq_now.shape == last[1].shape
-            except (AttributeError, TypeError, ValueError):
-                usual = False
-            if not usual:
+            if not usual(t, q, dq, *last, self._jump_squared):
                 q_now, dq_now = self._checked(q, "q"), self._checked(dq, "dq")
                 self._refuse(t, q_now, dq_now, *last)
             self._last = t, q_now.copy()
         tau, self.memory = self.controller.step(t, q_now, dq_now, self.memory)
-        # Parts of the limits whose squares sum to less than one are each less than one; NaN again never passes.
-        part = tau * self._per_limit
         self.saturated = False
-        return tau if part.dot(part) <= 1.0 else self._cut(t, tau, part)
+        return tau if surely_within(tau, self._per_limit) else self._cut(t, tau)
 
-    def _cut(self, t: float, tau: JointVector, part: JointVector) -> JointVector:
-        """Torques within the limits, from torques and the parts of the limits that they are."""
-        parts = part.tolist()
+    def _cut(self, t: float, tau: JointVector) -> JointVector:
+        """Torques within the limits."""
+        parts = (tau * self._per_limit).tolist()
         if not math.isfinite(sum(parts)):
             raise StateError(f"{type(self.controller).__name__} has no finite torque at t = {t!r} s: {tau.tolist()}")
         self.saturated = max(parts) > 1.0 or min(parts) < -1.0
@@ -128,3 +121,27 @@ class ControlLoop:
             return vector(values, self._shape[0] if self._shape else None, name)
         except InputError as error:
             raise StateError(f"no torque for this state: {error}") from None
+
+
+@twin
+def usual(t: float, q: Any, dq: Any, t_last: float, q_last: JointVector, jump_squared: float) -> bool:
+    """Whether a state follows the last one as is usual, so that no closer look is needed."""
+    try:
+        moved = q - q_last
+        # The length of the move bounds each joint's, so the usual case is one product; NaN never passes.
+        near = moved.dot(moved) < jump_squared and t_last <= t < math.inf
+        return bool(near and math.isfinite(dq.dot(dq)) and q.shape == dq.shape == q_last.shape)
+    except (AttributeError, TypeError, ValueError):
+        return False
+
+
+@twin
+def surely_within(tau: JointVector, per_limit: JointVector) -> bool:
+    """Whether torques are finite and within limits, by a bound: squared parts that sum to less than one are each less.
+
+    Args:
+        tau: Torques.
+        per_limit: One divided by each limit.
+    """
+    part = tau * per_limit
+    return bool(part.dot(part) <= 1.0)

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import lapack
 
-from eos_pin.arrays import Array, JointVector, SelfMotionVector, TaskVector, readonly
+from eos_pin.arrays import Array, Jacobian, JointVector, SelfMotionVector, TaskVector, readonly
+from eos_pin.compiled import twin
 from eos_pin.linear import is_odd
 from eos_pin.tasks import Point, Task
 
@@ -66,27 +67,52 @@ def newton(
     """
     u, B, last, keep = start.u, start.B, math.inf, True
     q = base - U.dot(u)
-    identity = _identity(task.m)
     for iteration in range(max_iterations + 1):
         z_q, J = (task.value(q), None) if keep else task.linearize(q)
         error = task.minus(z_q, z)
-        residual = max(map(abs, error.tolist()))
+        residual = largest(error)
         # A step that leads away has left the neighbourhood of convergence, perhaps the chart. NaN ends here too.
         if residual <= tol or not residual < last:
             break
         # Once more with the same B the residual would fall by the same factor as before, to residual² / last.
         if refresh and residual * residual > tol * last:
-            LU, pivots, B, info = lapack.dgesv((task.linearize(q)[1] if J is None else J).dot(U), identity)
-            if info or is_odd(LU, pivots):
-                # det G'U > 0 at the base point, so it is positive on all of the chart.
+            renewed = on_chart_inverse(task.linearize(q)[1] if J is None else J, U)
+            if renewed is None:
                 return Inverse(q, u, start.B, iteration, math.inf)
+            B = renewed
         # A step with a new B leads to about residual³ / last²; where the same B then does for one more, no Jacobian is
         # needed there.
         keep = not refresh or residual**5 <= tol * last**4 < math.inf
         last = residual
-        u = u + B.dot(error)
-        q = base - U.dot(u)
+        u, q = newton_step(base, U, u, B, error)
     return Inverse(q, u, B, iteration, residual if residual == residual else math.inf)
+
+
+@twin
+def largest(error: TaskVector) -> float:
+    """The largest entry of a task error."""
+    return max(map(abs, error.tolist()))
+
+
+@twin
+def on_chart_inverse(J: Jacobian, U: Float[Array, "n m"]) -> Float[Array, "m m"] | None:
+    """B = (G'U)⁻¹, Eq. (15); None beyond the edge of the chart.
+
+    Args:
+        J: Jacobian G'.
+        U: Directions of u; det G'U > 0 at the base point, so it is positive on all of the chart.
+    """
+    LU, pivots, B, info = lapack.dgesv(J.dot(U), _identity(U.shape[1]))
+    return None if info or is_odd(LU, pivots) else B
+
+
+@twin
+def newton_step(
+    base: JointVector, U: Float[Array, "n m"], u: TaskVector, B: Float[Array, "m m"], error: TaskVector
+) -> tuple[TaskVector, JointVector]:
+    """The next u and its joints; Eqs. (11), (22)."""
+    u = u + B.dot(error)
+    return u, base - U.dot(u)
 
 
 @cache

@@ -15,7 +15,7 @@ from eos_pin.arrays import JointVector, SelfMotionVector, VectorLike, readonly, 
 from eos_pin.charts import Chart
 from eos_pin.errors import InputError
 from eos_pin.robot import Robot
-from eos_pin.trajectories import Hold, Target, Trajectory
+from eos_pin.targets import Hold, Target, Trajectory
 
 
 class Objective(ABC):

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from eos_pin.results import Result
     from eos_pin.robot import Robot
     from eos_pin.systems import TaskForce
+    from eos_pin.targets import Trajectory
     from eos_pin.tasks import Task
-    from eos_pin.trajectories import Trajectory
 
 ControllerName = Literal[
     "eos",
@@ -115,7 +115,8 @@ class PathOptions:
     def make(self, task: Task, q: JointVector) -> Trajectory:
         """The path, through the task point at q unless a file says otherwise."""
         from eos_pin.presets import fitting_path
-        from eos_pin.trajectories import Hold, StackedTrajectory, spline_from_csv
+        from eos_pin.targets import Hold
+        from eos_pin.trajectories import StackedTrajectory, spline_from_csv
 
         if self.path.lower().endswith(".csv"):
             spline = spline_from_csv(self.path)

@@ -8,16 +8,16 @@ import numpy as np
 import pinocchio as pin
 
 from eos_pin.arrays import Jacobian, TaskVector, Vector, numbers, readonly, vector
+from eos_pin.compiled import twin
 from eos_pin.errors import InputError
+from eos_pin.frames import FLAT, FrameTask
 from eos_pin.robot import Robot
 from eos_pin.tasks import WORLD, Point, PointLike, Task
 
-#: Where the entries of a flat pose are in a flat homogeneous matrix.
-_FLAT = np.array([3, 7, 11, 0, 1, 2, 4, 5, 6, 8, 9, 10])
 _IDENTITY = readonly(np.eye(3))
 
 
-class OrientationTask(Task, kind="orientation"):
+class OrientationTask(FrameTask, kind="orientation"):
     """Orientation of a frame on SO(3) [rad].
 
     z is the rotation matrix, dz the angular velocity in world axes, `minus(R1, R0)` the rotation vector of R1 R0ᵀ.
@@ -30,18 +30,7 @@ class OrientationTask(Task, kind="orientation"):
     arguments = ("frame",)
 
     def __init__(self, robot: Robot, frame: str) -> None:
-        self.frame = frame
-        self._id = robot.frame_id(frame)
-        super().__init__(robot, ("rx", "ry", "rz"), ["rad"] * 3, 9)
-
-    def _z(self, data: pin.Data) -> Point:
-        return pin.updateFramePlacement(self._model, data, self._id).rotation.flatten()
-
-    def _J(self, data: pin.Data) -> Jacobian:
-        return pin.getFrameJacobian(self._model, data, self._id, WORLD)[3:]
-
-    def _drift(self, data: pin.Data) -> TaskVector:
-        return pin.getFrameClassicalAcceleration(self._model, data, self._id, WORLD).angular
+        super().__init__(robot, frame, ("rx", "ry", "rz"), ["rad"] * 3, slice(3, None), slice(3, None))
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return pin.log3(z1.reshape(3, 3).dot(z0.reshape(3, 3).T))
@@ -61,7 +50,7 @@ class OrientationTask(Task, kind="orientation"):
         return _rotation(value.rotation if isinstance(value, pin.SE3) else value, f"a point of {self!r}")
 
 
-class PoseTask(Task, kind="pose"):
+class PoseTask(FrameTask, kind="pose"):
     """Pose of a frame on SE(3): position [m] and orientation [rad].
 
     z is the position followed by the rotation matrix, dz = (velocity of the origin, angular velocity) in world axes.
@@ -75,23 +64,11 @@ class PoseTask(Task, kind="pose"):
     arguments = ("frame",)
 
     def __init__(self, robot: Robot, frame: str) -> None:
-        self.frame = frame
-        self._id = robot.frame_id(frame)
-        super().__init__(robot, ("x", "y", "z", "rx", "ry", "rz"), ["m"] * 3 + ["rad"] * 3, 12)
-
-    def _z(self, data: pin.Data) -> Point:
-        return pin.updateFramePlacement(self._model, data, self._id).homogeneous.ravel()[_FLAT]
-
-    def _J(self, data: pin.Data) -> Jacobian:
-        return pin.getFrameJacobian(self._model, data, self._id, WORLD)
-
-    def _drift(self, data: pin.Data) -> TaskVector:
-        return pin.getFrameClassicalAcceleration(self._model, data, self._id, WORLD).vector
+        labels, units = ("x", "y", "z", "rx", "ry", "rz"), ["m"] * 3 + ["rad"] * 3
+        super().__init__(robot, frame, labels, units, slice(None), slice(None))
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
-        delta = (z1 - z0)[:6]
-        delta[3:] = pin.log3(z1[3:].reshape(3, 3).dot(z0[3:].reshape(3, 3).T))
-        return delta
+        return pose_difference(z1, z0)
 
     def plus(self, z: Point, delta: TaskVector) -> Point:
         return np.concatenate((z[:3] + delta[:3], pin.exp3(delta[3:]).dot(z[3:].reshape(3, 3)).ravel()))
@@ -108,7 +85,7 @@ class PoseTask(Task, kind="pose"):
         if array.shape == (4, 4):
             if array[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
                 raise InputError(f"the last row of {name} must be 0, 0, 0, 1, got {array[3].tolist()}")
-            array = array.ravel()[_FLAT]
+            array = array.ravel()[FLAT]
         z = vector(array, 12, f"{name}, a pin.SE3, a 4 × 4 matrix or a flat point,")
         return np.concatenate((z[:3], _straight(z[3:], name)))
 
@@ -146,6 +123,14 @@ class HeadingTask(Task, kind="heading"):
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return np.array([math.remainder(z1[0] - z0[0], math.tau)])
+
+
+@twin
+def pose_difference(z1: Point, z0: Point) -> TaskVector:
+    """Difference of the positions of two flat poses, and the rotation vector from the second to the first."""
+    delta = (z1 - z0)[:6]
+    delta[3:] = pin.log3(z1[3:].reshape(3, 3).dot(z0[3:].reshape(3, 3).T))
+    return delta
 
 
 def _rotation(value: PointLike, name: str) -> Vector:

@@ -30,8 +30,9 @@ from eos_pin.results import Result
 from eos_pin.robot import Robot
 from eos_pin.simulation import simulate, simulate_eos
 from eos_pin.systems import TaskForce
+from eos_pin.targets import Trajectory
 from eos_pin.tasks import Task
-from eos_pin.trajectories import Trajectory, circle, figure_eight
+from eos_pin.trajectories import circle, figure_eight
 
 #: Sec. 4.3 names no number for g; Sec. 6 does. Down is −y.
 GRAVITY, STANDARD_GRAVITY = 9.81, 9.80665

@@ -7,11 +7,12 @@ import pinocchio as pin
 
 from eos_pin.arrays import Array, Jacobian, TaskVector
 from eos_pin.errors import InputError
+from eos_pin.frames import FrameTask
 from eos_pin.robot import Robot
 from eos_pin.tasks import WORLD, Point, Task
 
 
-class PositionTask(Task, kind="position"):
+class PositionTask(FrameTask, kind="position"):
     """Position of a frame's origin along some axes of the world [m].
 
     Args:
@@ -23,22 +24,11 @@ class PositionTask(Task, kind="position"):
     arguments: tuple[str, ...] = ("frame", "axes")
 
     def __init__(self, robot: Robot, frame: str, axes: str = "xyz") -> None:
-        self.frame, self.axes = frame, axes
-        self._rows = _rows(axes)
-        self._id = robot.frame_id(frame)
-        super().__init__(robot, list(axes), ["m"] * len(axes))
-
-    def _z(self, data: pin.Data) -> Point:
-        return pin.updateFramePlacement(self._model, data, self._id).translation[self._rows].copy()
-
-    def _J(self, data: pin.Data) -> Jacobian:
-        return pin.getFrameJacobian(self._model, data, self._id, WORLD)[self._rows]
-
-    def _drift(self, data: pin.Data) -> TaskVector:
-        return pin.getFrameClassicalAcceleration(self._model, data, self._id, WORLD).linear[self._rows]
+        self.axes, rows = axes, _rows(axes)
+        super().__init__(robot, frame, list(axes), ["m"] * len(axes), rows, rows)
 
 
-class RelativePositionTask(PositionTask, kind="relative_position"):
+class RelativePositionTask(Task, kind="relative_position"):
     """Position of a frame's origin seen from another frame, in that frame's axes [m].
 
     The reference frame may be fixed (a table) or move with the robot (the other hand of a two-armed robot).
@@ -53,9 +43,10 @@ class RelativePositionTask(PositionTask, kind="relative_position"):
     arguments = ("frame", "reference", "axes")
 
     def __init__(self, robot: Robot, frame: str, reference: str, axes: str = "xyz") -> None:
-        self.reference = reference
-        self._reference_id = robot.frame_id(reference)
-        super().__init__(robot, frame, axes)
+        self.frame, self.reference, self.axes = frame, reference, axes
+        self._rows = _rows(axes)
+        self._id, self._reference_id = robot.frame_id(frame), robot.frame_id(reference)
+        super().__init__(robot, list(axes), ["m"] * len(axes))
 
     def _z(self, data: pin.Data) -> Point:
         frame = pin.updateFramePlacement(self._model, data, self._id)

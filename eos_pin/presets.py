@@ -20,8 +20,9 @@ from eos_pin.loading import default_frame
 from eos_pin.orientations import HeadingTask, OrientationTask, PoseTask
 from eos_pin.positions import ComTask, PositionTask
 from eos_pin.robot import Robot
+from eos_pin.targets import Hold, Trajectory
 from eos_pin.tasks import StackedTask, Task
-from eos_pin.trajectories import Harmonic, Hold, StackedTrajectory, Trajectory, circle, figure_eight, line
+from eos_pin.trajectories import Harmonic, StackedTrajectory, circle, figure_eight, line
 
 TaskKind: TypeAlias = Literal["position", "pose", "orientation", "heading", "com"]
 TASK_KINDS: tuple[TaskKind, ...] = ("position", "pose", "orientation", "heading", "com")

@@ -273,9 +273,10 @@ def _integrate(
             if solver.status == "failed":
                 raise Stop("integration_failed", f"the integrator gave up at t = {solver.t:.4g} s: {message}")
             _check_speed(system, solver.t, solver.y)
-            worn = system.margin(solver.t, solver.y) <= 0.0
+            margin = system.margin(solver.t, solver.y)
+            worn = margin <= 0.0
             dense = solver.dense_output()
-            end = _worn_at(system, solver, dense) if worn else solver.t
+            end = _worn_at(system, solver, dense, margin) if worn else solver.t
             for sample in record.due(t, end):
                 record.add(sample, dense(sample))
             t = end
@@ -291,12 +292,16 @@ def _integrate(
     return record.result()
 
 
-def _worn_at(system: System, solver: Any, dense: Any) -> float:
-    """Time within the solver's last step at which the margin is used up."""
+def _worn_at(system: System, solver: Any, dense: Any, margin: float) -> float:
+    """Time within the solver's last step at which the margin is used up, which at its end is `margin`."""
     from scipy.optimize import brentq
 
+    def left(t: float) -> float:
+        # Near a singularity a margin computed once more may have the other sign.
+        return system.margin(t, dense(t)) if t < solver.t else margin
+
     # A step begins with a margin that is left, just after a switch with one near 1.
-    return float(brentq(lambda t: system.margin(t, dense(t)), solver.t_old, solver.t, xtol=1e-12))
+    return float(brentq(left, solver.t_old, solver.t, xtol=1e-12)) if left(solver.t_old) > 0.0 else solver.t_old
 
 
 def _check_speed(system: System, t: float, x: Vector) -> None:

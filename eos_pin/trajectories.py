@@ -1,84 +1,25 @@
-"""Targets (z, dz, ddz) as functions of time.
-
-Each trajectory is a value that is called with a time. Points are flat arrays as in `eos_pin.tasks`; dz and ddz have
-the task's dimension m.
-"""
+"""Curves to follow: circles, figure eights, splines, geodesics, and several side by side."""
 
 from __future__ import annotations
 
 import csv
 import math
-from abc import ABC, abstractmethod
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from eos_pin.arrays import Array, TaskVector, VectorLike, number, readonly, vector
+from eos_pin.arrays import Array, Vector, VectorLike, number, readonly, vector
+from eos_pin.compiled import twin
 from eos_pin.errors import InputError
+from eos_pin.targets import Hold, Target, Trajectory, as_target
 from eos_pin.tasks import Point, Task
-
-
-class Target(NamedTuple):
-    """What the task should be at one time.
-
-    Attributes:
-        z: Task point.
-        dz: Task velocity [m/s, rad/s].
-        ddz: Task acceleration [m/s², rad/s²].
-    """
-
-    z: Point
-    dz: TaskVector
-    ddz: TaskVector
-
-
-#: A target from a tuple of its parts, in half the time that `Target(…)` takes.
-_target = partial(tuple.__new__, Target)
-
-
-class Trajectory(ABC):
-    """A target for every time.
-
-    Attributes:
-        period: Time after which it repeats [s]; infinite if it does not.
-        duration: Time after which it rests [s]; infinite if it never does.
-    """
-
-    period: float = math.inf
-    duration: float = math.inf
-
-    @abstractmethod
-    def __call__(self, t: float) -> Target:
-        """Target at time t [s]."""
-
-
-@dataclass(frozen=True)
-class Hold(Trajectory):
-    """One point, at rest.
-
-    Attributes:
-        z: The point.
-        m: Dimension of the task, if it is not the length of z (6 for a pose, 3 for an orientation).
-    """
-
-    z: Point
-    m: int | None = None
-    duration = 0.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "z", readonly(vector(self.z, None, "the point to hold")))
-        rest = readonly(np.zeros(self.z.size if self.m is None else self.m))
-        object.__setattr__(self, "_target", Target(self.z, rest, rest))
-
-    def __call__(self, t: float) -> Target:
-        return self._target  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
@@ -140,19 +81,31 @@ class Waves:
         ddz: Those of ddz.
     """
 
-    def __init__(self, phase: float, frequencies: list[float], z: Array, dz: Array, ddz: Array) -> None:
-        self.phase, self.frequencies, self.blocks = phase, frequencies, (z, dz, ddz)
+    def __init__(self, phase: float, frequencies: VectorLike, z: Array, dz: Array, ddz: Array) -> None:
+        self.phase, self.frequencies, self.blocks = phase, np.array(frequencies, dtype=float), (z, dz, ddz)
         self._rows = np.hstack(self.blocks)
         self._cuts = z.shape[1], z.shape[1] + dz.shape[1]
-        self._waves = np.ones(len(z))  # workspace; the last stays 1
 
     def __call__(self, t: float) -> Target:
-        t, waves = t + self.phase, self._waves
-        for k, omega in enumerate(self.frequencies):
-            waves[2 * k], waves[2 * k + 1] = math.sin(omega * t), math.cos(omega * t)
-        together = waves.dot(self._rows)
-        i, j = self._cuts
-        return _target((together[:i], together[i:j], together[j:]))
+        return as_target(waves(t + self.phase, self.frequencies, self._rows, *self._cuts))
+
+
+@twin
+def waves(
+    t: float, frequencies: Vector, rows: Float[Array, "K l"], first: int, second: int
+) -> tuple[Array, Array, Array]:
+    """(sin ω₁t, cos ω₁t, sin ω₂t, …, 1) times a matrix, its columns in three parts.
+
+    Args:
+        t: Time.
+        frequencies: The ω.
+        rows: The matrix, its rows side by side in memory.
+        first: Where the second part begins.
+        second: Where the third does.
+    """
+    angles = (frequencies * t).tolist()
+    together = np.dot([wave for angle in angles for wave in (math.sin(angle), math.cos(angle))] + [1.0], rows)
+    return together[:first], together[first:second], together[second:]
 
 
 def line(center: VectorLike, stroke: VectorLike, *, period: float) -> Harmonic:

@@ -537,37 +537,6 @@ def test_what_fades_is_bounded_and_braked(size, seed, fraction, speed):
     np.testing.assert_allclose((Y @ x)[:-1], (X.T @ b)[:-1] / values[:-1], atol=1e-9 * max(1.0, abs(speed)))
 
 
-@every
-@given(data=st.data())
-def test_acceleration_fades_only_near_singularities(task, data):
-    """Far from them dq changes nothing; at one the result is still a bounded number."""
-    chart = Chart.at(task, _regular_state(task))
-    dq, ddw = data.draw(checks.velocities(task.robot)), data.draw(checks.numbers(chart.n))
-    arguments = chart.U.T, ddw[: chart.m], ddw[chart.m :]
-    for limit in (0, 16):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(charts, "DENSE_SOLVE", limit)
-            plain = chart.acceleration(*arguments)
-            if np.linalg.svd(chart.U, compute_uv=False)[-1] > 0.5 * max(1.0, task.robot.reach):
-                np.testing.assert_allclose(chart.drive(chart.U.T, ddw, dq)[0], plain, atol=1e-9 * np.abs(plain).max())
-            lost, _ = chart.drive(0.0 * chart.U.T, ddw, dq)
-            speed = np.linalg.norm(dq)
-            most = linear.BRAKING * speed * max(1.0, speed / linear.FAST) + np.linalg.norm(ddw)
-            assert np.linalg.norm(lost) <= 2.0 * most / linear.FADING
-
-
-@every
-@given(data=st.data())
-def test_the_margin_that_comes_with_the_acceleration_is_a_lower_bound(task, data):
-    """H = [U B, D], and the least inverse singular value of D is the margin."""
-    chart = Chart.at(task, _regular_state(task))
-    q = chart.q_bar + 0.3 * data.draw(checks.numbers(chart.n))
-    J = task.linearize(q)[1]
-    zero = np.zeros(chart.n)
-    assert chart.drive(J, zero, zero)[1] <= chart.margin(J) + 1e-9
-    assert chart.drive(chart.U.T, zero, zero)[1] in (pytest.approx(1.0), 0.0)
-
-
 # -- walking ---------------------------------------------------------------------------------------------------------
 
 

@@ -16,6 +16,7 @@ TABLE = """
     0 ground    errors
                 arrays
                 files
+                compiled
     1 robot     workspace       pinocchio
                 robot           pinocchio
                 library
@@ -26,16 +27,19 @@ TABLE = """
     2 geometry  linear          scipy
                 bases
                 tasks           pinocchio
+                frames          pinocchio
                 positions       pinocchio
                 orientations    pinocchio
                 newton          scipy
                 charts          scipy
                 atlas
     3 motion    dynamics        scipy
+                targets
                 trajectories    scipy
                 objectives
                 avoidance
-    4 control   controllers
+    4 control   driving         scipy
+                controllers
                 baselines       scipy
                 limits          daqp
                 loop

@@ -30,7 +30,8 @@ from eos_pin.drawing import CONTROLLERS, LINES, add_axes, colors_of, faded
 from eos_pin.errors import OutputError
 from eos_pin.keyframes import is_spatial
 from eos_pin.panels import has_depth
-from eos_pin.trajectories import Harmonic, Hold, StackedTrajectory
+from eos_pin.targets import Hold
+from eos_pin.trajectories import Harmonic, StackedTrajectory
 
 PERIOD = math.tau
 

@@ -1,0 +1,109 @@
+"""From what a control law asks of (z, v) to what the joints do, bounded and continuous at singularities of the task."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.linalg import lapack
+
+from eos_pin.arrays import Jacobian, JointVector, SelfMotionVector, TaskVector
+from eos_pin.charts import DENSE_SOLVE, EDGE, Chart
+from eos_pin.compiled import kernels
+from eos_pin.errors import ChartError
+from eos_pin.linear import FADING, FAST, fade, haste
+from eos_pin.targets import Hold, Trajectory
+
+
+class Drive:
+    """Joint accelerations of a control law on a chart.
+
+    They are those of `Chart.acceleration`, but directions of the task that are being lost fade out of the law and are
+    braked; see `eos_pin.linear.fade`.
+
+    Args:
+        chart: The chart.
+        smooth: Whether directions fade out; if not, singularities are the caller's business.
+    """
+
+    def __init__(self, chart: Chart, *, smooth: bool = True) -> None:
+        self.chart, self.smooth = chart, smooth
+        robot = chart.task.robot
+        # Unit of each row of G', so that singular values compare: metres are measured in reaches.
+        self._units = np.array([robot.reach if unit == "m" else 1.0 for unit in chart.task.units])
+        #: Square of the size of U B from which directions may fade.
+        self.most = 1.0 / (FADING * float(self._units.max(initial=1.0))) ** 2
+
+    @cached_property
+    def _compiled(self) -> Any:
+        small = self.chart.n <= DENSE_SOLVE
+        return kernels.Drive(self.chart.Vt, self.most, FAST) if kernels and small else None
+
+    def __call__(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
+        """Joint acceleration, and a lower bound of the chart's margin that is got on the way, 0 if none is.
+
+        Args:
+            J: Jacobian G'(q).
+            F: Acceleration asked of w = (z, v), the task's part without its drift, (n,).
+            dq: Joint velocities, to be braked.
+
+        Raises:
+            ChartError: [G'; Vᵀ] is singular, and nothing fades.
+        """
+        driven = None if self._compiled is None else self._compiled(J, F, dq)
+        return self.readable(J, F, dq) if driven is None else driven
+
+    def tracking_law(
+        self, kp: TaskVector, kd: TaskVector, kp_v: SelfMotionVector, kd_v: SelfMotionVector, v_d: Trajectory
+    ) -> Any:
+        """This, and `EosController.asked` for self-motion that is held at v_d, in one; None if that is not compiled.
+
+        Args:
+            kp: Gain on the task error, (m,).
+            kd: Gain on the task's velocity error, (m,).
+            kp_v: Gain on v, (r,).
+            kd_v: Gain on dv, (r,).
+            v_d: Where v is held.
+        """
+        if self._compiled is None or not isinstance(v_d, Hold):
+            return None
+        held = v_d.z + self.chart.basis.project(self.chart.q_bar) - self.chart.v_bar
+        return kernels.TrackingLaw(self.chart.Vt, self.most, FAST, kp, kd, kp_v, kd_v, held)
+
+    def readable(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
+        """The same, without what is compiled."""
+        n, m = self.chart.n, self.chart.m
+        A, b, lifted = self.chart.system(J, F)
+        LU, pivots, info = lapack.dgetrf(A)
+        H, singular = lapack.dgetri(LU, pivots, overwrite_lu=1)
+        # H = [U B, D] column by column; beyond DENSE_SOLVE it has no D.
+        flat, cut = H.T.ravel(), m * b.size
+        UB, D = flat[:cut], flat[cut:]
+        if info or singular or not UB.dot(UB) * haste(dq) < self.most:
+            # The least singular value of G' is at least 1 / |U B|, so the law never fades too late.
+            if self.smooth:
+                # A trial state of an integrator may be beyond all numbers; the torque says so.
+                finite = math.isfinite(J.sum()) and math.isfinite(dq.dot(dq))
+                return self._faded(J, F, dq) if finite else np.full(n, math.nan), 0.0
+            if info or singular:
+                raise ChartError(EDGE)
+        if lifted is not None:
+            return lifted + self.chart.row_basis.dot(H.dot(b)), 0.0
+        # The singular values of D are the inverse cosines of the angles that `margin` speaks of; all are at least 1, so
+        # the largest is at most what their squares leave beyond the others.
+        return H.dot(b), 1.0 / math.sqrt(max(D.dot(D) - n + m + 1.0, 1.0))
+
+    def _faded(self, J: Jacobian, F: JointVector, dq: JointVector) -> JointVector:
+        """The acceleration where the task may be singular."""
+        chart = self.chart
+        m, Q = chart.m, chart.row_basis
+        Y, c = fade(J / self._units[:, None], F[:m] / self._units, dq)
+        # Once more for the self-motion: a chart that is worn and cannot be renewed, and joints far too fast.
+        if chart.n <= DENSE_SOLVE:
+            X, x = fade(np.vstack((Y, chart.Vt)), np.concatenate((c, F[m:])), dq)
+            return X.T @ x
+        lifted = chart.basis.apply(F[m:])
+        X, x = fade(Y @ Q, c - Y @ lifted, Q.T @ dq)
+        return lifted + Q @ (X.T @ x)

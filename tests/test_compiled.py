@@ -1,0 +1,213 @@
+"""Compiled twins give what their originals give, to rounding."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+
+import checks
+import numpy as np
+import pinocchio as pin
+import pytest
+from checks import EXACT, all_tasks, exact, random_state, tip
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from eos_pin import Chart, ControlLoop, EosController, Harmonic, Hold, OrientationTask, PoseTask, PositionTask, Track
+from eos_pin.compiled import ORIGINALS, kernels
+from eos_pin.driving import Drive
+from eos_pin.tasks import Task
+
+pytestmark = pytest.mark.skipif(
+    kernels is None and "EOS_PIN_NEEDS_COMPILER" not in os.environ, reason="installed without a C compiler"
+)
+TASKS = [(name, task) for name, task in all_tasks() if isinstance(task, PositionTask | OrientationTask | PoseTask)]
+frame_tasks = pytest.mark.parametrize("task", [task for _, task in TASKS], ids=[name for name, _ in TASKS])
+floats = st.floats(-10.0, 10.0)
+#: How many numbers a vector has.
+sizes = st.integers(1, 12)
+
+
+def vectors(size, elements=floats):
+    return arrays(float, size, elements=elements)
+
+
+def both(name, *arguments):
+    """What the twin says, and what the original does."""
+    return getattr(kernels, name)(*arguments), ORIGINALS[name](*arguments)
+
+
+def test_where_there_is_a_compiler_there_are_twins():
+    assert ControlLoop, Harmonic  # their modules have twins, too, and have been imported
+    assert kernels is not None
+    assert len(ORIGINALS) == 7
+    assert all(hasattr(kernels, name) for name in ORIGINALS)
+
+
+@given(data=st.data())
+def test_the_watch_of_the_loop(data):
+    n = data.draw(sizes)
+    odd = st.one_of(floats, st.sampled_from([np.nan, np.inf, -np.inf]))
+    q, dq, last = (data.draw(vectors(n, elements)) for elements in (odd, odd, floats))
+    t, t_last = data.draw(odd), data.draw(floats)
+    twin, original = both("usual", t, q, dq, t_last, last, data.draw(st.floats(0.1, 1e4)))
+    assert twin is original
+    assert both("usual", t, last, last, t_last, last, 0.1) == (t_last <= t < np.inf,) * 2
+
+
+@pytest.mark.parametrize(
+    "q", [[0.0, 0.0], None, "ab", np.zeros(3), np.zeros((2, 1)), np.zeros(2, int), np.zeros(4)[::2]]
+)
+def test_what_is_unusual_is_looked_at_more_closely(q):
+    zero = np.zeros(2)
+    for state in ((q, zero), (zero, q)):
+        assert kernels.usual(0.0, *state, 0.0, zero, 1.0) is False
+    assert kernels.usual(None, zero, zero, 0.0, zero, 1.0) is False
+    assert kernels.usual("now", zero, zero, 0.0, zero, 1.0) is False
+    assert kernels.surely_within(q, np.ones(2)) is False
+
+
+@given(data=st.data())
+def test_the_watch_of_torques(data):
+    n = data.draw(sizes)
+    tau, per_limit = data.draw(vectors(n)), np.abs(data.draw(vectors(n)))
+    assert len({*both("surely_within", tau, per_limit)}) == 1
+    tau[0] = np.nan
+    assert kernels.surely_within(tau, per_limit) is False
+
+
+@given(data=st.data())
+def test_waves(data):
+    terms, first, second, third = (data.draw(st.integers(*range_)) for range_ in ((0, 4), (1, 12), (1, 6), (1, 6)))
+    rows = data.draw(arrays(float, (2 * terms + 1, first + second + third), elements=floats))
+    frequencies = data.draw(vectors(terms))
+    for twin, original in zip(*both("waves", data.draw(floats), frequencies, rows, first, first + second), strict=True):
+        np.testing.assert_allclose(twin, original, rtol=0.0, atol=EXACT * 100)
+
+
+@given(turns=arrays(float, (2, 3), elements=st.floats(-4.0, 4.0)), places=arrays(float, (2, 3), elements=floats))
+def test_pose_difference(turns, places):
+    poses = [np.concatenate((p, pin.exp3(turn).ravel())) for p, turn in zip(places, turns, strict=True)]
+    twin, original = both("pose_difference", *poses)
+    # Half a turn away a rotation vector and its opposite are the same.
+    R, S = (pin.exp3(delta[3:]) for delta in (twin, original))
+    np.testing.assert_array_equal(twin[:3], original[:3])
+    np.testing.assert_allclose(R, S, atol=1e-7)
+    with pytest.raises(ValueError, match="12 numbers"):
+        kernels.pose_difference(poses[0], np.zeros(3))
+
+
+@given(data=st.data())
+def test_the_parts_of_newtons_method(data):
+    m = data.draw(st.integers(1, 7))
+    n = m + data.draw(st.integers(0, 4))
+    J, U = (data.draw(arrays(float, shape, elements=floats)) for shape in ((m, n), (n, m)))
+    u, error, base = (data.draw(vectors(size)) for size in (m, m, n))
+    assert both("largest", error) == (np.abs(error).max(),) * 2
+    assert kernels.largest(np.array([1.0, np.nan, 3.0])) != kernels.largest(np.array([1.0, np.nan, 3.0]))
+    B, original = both("on_chart_inverse", J, U)
+    if np.linalg.cond(J @ U) < 1e6:
+        assert (B is None) == (original is None) == (np.linalg.det(J @ U) < 0.0)
+    if B is not None and np.linalg.cond(J @ U) < 1e6:
+        np.testing.assert_allclose(B, original, rtol=0.0, atol=exact(J @ U))
+        for twin, plain in zip(*both("newton_step", base, U, u, original, error), strict=True):
+            np.testing.assert_allclose(twin, plain, rtol=0.0, atol=EXACT * (1.0 + np.abs(original).max()) * 1e4)
+    assert kernels.on_chart_inverse(0.0 * J, U) is None
+
+
+@frame_tasks
+@given(data=st.data())
+def test_tasks_of_frames(task, data):
+    q, dq = data.draw(checks.joints(task.robot)), data.draw(checks.velocities(task.robot))
+    for name, state in (("value", (q,)), ("linearize", (q,)), ("at", (q, dq))):
+        twin, original = getattr(task, name)(*state), getattr(Task, name)(task, *state)
+        assert type(twin) is type(original)
+        for one, other in zip(*([twin], [original]) if name == "value" else (twin, original), strict=True):
+            assert one.shape == other.shape
+            np.testing.assert_allclose(one, other, rtol=0.0, atol=EXACT * (1.0 + np.abs(dq).max() ** 2))
+
+
+@frame_tasks
+@given(data=st.data())
+def test_the_drive(task, data):
+    q = data.draw(checks.joints(task.robot))
+    if np.linalg.cond(task.linearize(q)[1]) > 1e3:
+        return
+    drive = Drive(Chart.at(task, q))
+    q = q + 0.3 * data.draw(checks.numbers(task.robot.n))
+    J, F, dq = task.linearize(q)[1], data.draw(checks.numbers(task.robot.n)), data.draw(checks.velocities(task.robot))
+    twin, original = drive._compiled(J, F, dq), drive.readable(J, F, dq)
+    if twin is not None:
+        A = np.vstack((J, drive.chart.Vt))
+        np.testing.assert_allclose(twin[0], original[0], rtol=0.0, atol=exact(A, scale=10.0))
+        assert twin[1] == pytest.approx(original[1], abs=exact(A))
+    assert drive._compiled(0.0 * J, F, dq) is None
+    assert drive._compiled(J, F.astype(np.float32), dq) is None
+
+
+@pytest.mark.parametrize("feedforward", [True, False])
+@pytest.mark.parametrize("carried", [True, False])
+@frame_tasks
+@given(data=st.data())
+def test_the_tracking_law(task, feedforward, carried, data):
+    robot = task.robot
+    random = np.random.default_rng(data.draw(st.integers(0, 10**6)))
+    q_bar, r = random_state(robot, random)[0], robot.n - task.m
+    if np.linalg.norm(np.linalg.pinv(task.linearize(q_bar)[1]), 2) > 10.0:
+        return
+    target, gains = Hold(task.value(q_bar), task.m), random.uniform(5.0, 10.0, (4, robot.n))
+    kp, kd, kp_v, kd_v = gains[0, : task.m], gains[1, : task.m], gains[2, :r], gains[3, :r]
+    track = Track(random.uniform(-0.1, 0.1, r), kp=kp_v, kd=kd_v)
+    controller = EosController(task, target, track, kp=kp, kd=kd, feedforward=feedforward)
+    memory = controller.start(0.0, q_bar, 0.0 * q_bar)
+    q, dq = q_bar + random.uniform(-0.1, 0.1, robot.n), random.uniform(-2.0, 2.0, robot.n)
+    point, more = task.at(q, dq), random.uniform(-1.0, 1.0, r) if carried else None
+    law = pickle.loads(pickle.dumps(memory.law))
+    z_d, dz_d, ddz_d = target(0.0)
+    twin = law(task.minus(z_d, point.z), dz_d, ddz_d, point.J, point.drift, q, dq, more)
+    F = controller.asked(0.0, q, dq, memory.chart, point)
+    if carried:
+        F[task.m :] += more
+    original = memory.drive.readable(point.J, F, dq)
+    if twin is not None:
+        tolerance = exact(np.vstack((point.J, memory.chart.Vt)), scale=np.linalg.norm(F))
+        np.testing.assert_allclose(twin[0], original[0], rtol=0.0, atol=tolerance)
+        assert twin[1] == pytest.approx(original[1], abs=tolerance)
+
+
+def test_tasks_are_copied_with_their_twins(panda):
+    q, dq = random_state(panda, seed=3)
+    task = PoseTask(panda, tip(panda))
+    expected = task.at(q, dq)
+    again = pickle.loads(pickle.dumps(task._frame))
+    task.value(0.0 * q)
+    for one, other in zip(again.at(q, dq), expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+STEP = """
+import numpy as np
+import eos_pin
+from eos_pin.compiled import kernels
+robot = eos_pin.load_robot("panda", chain_to="panda_hand_tcp")
+task = eos_pin.PoseTask(robot, "panda_hand_tcp")
+q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
+loop = eos_pin.ControlLoop(eos_pin.EosController(task, eos_pin.Hold(task.value(q + 0.1), 6)))
+print(kernels is None, *loop.step(0.0, q, 0.1 * q))
+"""
+
+
+def test_the_originals_do_it_all_where_nothing_is_compiled():
+    found = {}
+    for switch in ("0", "1"):
+        done = subprocess.run(
+            [sys.executable, "-c", STEP], env=os.environ | {"EOS_PIN_COMPILED": switch}, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        without, *torque = done.stdout.split()
+        assert without == str(switch == "0")
+        found[switch] = np.array(torque, dtype=float)
+    np.testing.assert_allclose(found["1"], found["0"], rtol=0.0, atol=1e-9)

@@ -1,0 +1,56 @@
+"""`Drive`: joint accelerations of a control law, near singularities of the task and far from them."""
+
+from __future__ import annotations
+
+import checks
+import numpy as np
+import pytest
+from checks import all_tasks
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from eos_pin import Chart, ChartError, charts, driving, linear
+from eos_pin.driving import Drive
+
+TASKS = all_tasks()
+every = pytest.mark.parametrize("task", [task for _, task in TASKS], ids=[name for name, _ in TASKS])
+
+
+def base(data, task):
+    """A chart whose base point is not close to a singularity."""
+    q = data.draw(checks.joints(task.robot))
+    assume(np.linalg.cond(task.linearize(q)[1]) < 1e3)
+    return Chart.at(task, q)
+
+
+@every
+@given(data=st.data())
+def test_acceleration_fades_only_near_singularities(task, data):
+    """Far from them dq changes nothing; at one the result is still a bounded number."""
+    chart = base(data, task)
+    dq, ddw = data.draw(checks.velocities(task.robot)), data.draw(checks.numbers(chart.n))
+    for limit in (0, 16):
+        with pytest.MonkeyPatch.context() as patch:
+            for module in (charts, driving):
+                patch.setattr(module, "DENSE_SOLVE", limit)
+            plain = chart.acceleration(chart.U.T, ddw[: chart.m], ddw[chart.m :])
+            drive = Drive(chart)
+            if np.linalg.svd(chart.U, compute_uv=False)[-1] > 0.5 * max(1.0, task.robot.reach):
+                np.testing.assert_allclose(drive(chart.U.T, ddw, dq)[0], plain, atol=1e-9 * np.abs(plain).max())
+            lost, _ = drive(0.0 * chart.U.T, ddw, dq)
+            speed = np.linalg.norm(dq)
+            most = linear.BRAKING * speed * max(1.0, speed / linear.FAST) + np.linalg.norm(ddw)
+            assert np.linalg.norm(lost) <= 2.0 * most / linear.FADING
+            with pytest.raises(ChartError, match="edge"):
+                Drive(chart, smooth=False)(0.0 * chart.U.T, ddw, dq)
+
+
+@every
+@given(data=st.data())
+def test_the_margin_that_comes_with_the_acceleration_is_a_lower_bound(task, data):
+    """H = [U B, D], and the least inverse singular value of D is the margin."""
+    chart = base(data, task)
+    J = task.linearize(chart.q_bar + 0.3 * data.draw(checks.numbers(chart.n)))[1]
+    drive, zero = Drive(chart), np.zeros(chart.n)
+    assert drive(J, zero, zero)[1] <= chart.margin(J) + 1e-9
+    assert drive(chart.U.T, zero, zero)[1] in (pytest.approx(1.0), 0.0)
