@@ -74,10 +74,11 @@ def aligned(size):
 
 
 cdef class Drive:
-    """`Chart.drive` on one chart, wherever nothing fades.
+    """`Drive` on one chart, wherever nothing fades.
 
     Args:
-        Vt: Transposed basis of the null space, (r, n).
+        Vt: Transposed basis V of the null space at the base point, (r, n).
+        Qt: Transposed orthonormal basis Q of the row space there, (m, n).
         most: Square of the size of U B from which directions may fade.
         fast: Joint speed from which they fade earlier.
     """
@@ -85,71 +86,89 @@ cdef class Drive:
     cdef int n, m, room
     cdef double most, fast
     cdef double *Vt
-    cdef double *A
+    cdef double *Qt
+    cdef double *J
     cdef double *F
+    cdef double *A
+    cdef double *x
     cdef double *work
     cdef int *pivots
     cdef tuple made_from, kept
 
-    def __init__(self, Vt, double most, double fast):
-        self.made_from = Vt, most, fast
-        r, self.n = Vt.shape
-        self.m, self.room, self.most, self.fast = self.n - r, 16 * self.n, most, fast
-        n = self.n
-        Vt = np.ascontiguousarray(Vt, dtype=float)
-        self.kept = Vt, aligned(n * n), aligned(n), aligned(self.room), np.empty(n, np.intc)
-        self.Vt, self.A, self.F, self.work = (
-            data(self.kept[0]), data(self.kept[1]), data(self.kept[2]), data(self.kept[3])
+    def __init__(self, Vt, Qt, double most, double fast):
+        self.made_from = Vt, Qt, most, fast
+        self.m, self.n = Qt.shape
+        m, n, self.room, self.most, self.fast = self.m, self.n, 16 * self.m, most, fast
+        self.kept = *(np.array(basis, dtype=float, order="C") for basis in (Vt, Qt)), *map(
+            aligned, (m * n, n, m * m, m, self.room)
+        ), np.empty(m, np.intc)
+        self.Vt, self.Qt, self.J, self.F, self.A, self.x, self.work = (
+            data(self.kept[0]), data(self.kept[1]), data(self.kept[2]), data(self.kept[3]), data(self.kept[4]),
+            data(self.kept[5]), data(self.kept[6]),
         )
-        self.pivots = <int*>cnp.PyArray_DATA(self.kept[4])
+        self.pivots = <int*>cnp.PyArray_DATA(self.kept[7])
 
     def __reduce__(self):
         return type(self), self.made_from
 
     def __call__(self, cnp.ndarray J, cnp.ndarray F, cnp.ndarray dq):
-        """Acceleration and bound of the margin; arguments as in `Chart.drive`."""
+        """Acceleration and bound of the margin; arguments as in `Drive` of `eos_pin.driving`."""
         if not (table(J, self.m, self.n) and plain(F, self.n) and plain(dq, self.n)):
             return None
         cdef Py_ssize_t i, j
+        for i in range(self.m):
+            for j in range(self.n):
+                self.J[i * self.n + j] = entry(J, i, j)
         for j in range(self.n):
             self.F[j] = data(F)[j]
-            for i in range(self.m):
-                self.A[i + self.n * j] = entry(J, i, j)
         return self.solve(data(dq))
 
     cdef solve(self, double* dq):
-        """The same for what stands in F and in the upper rows of A."""
-        cdef int n = self.n, info = 0
-        cdef Py_ssize_t i, j
+        """The same for what stands in J and F: ddq = V F_v + Q (JQ)⁻¹ (F_z − J V F_v), where U B = Q (JQ)⁻¹."""
+        cdef int n = self.n, m = self.m, r = n - m, info = 0
         cdef double *A = self.A
-        cdef double speed = dot(dq, dq, n) / (self.fast * self.fast)
-        cdef double bound, UB
-        for j in range(n):
-            for i in range(n - self.m):
-                A[self.m + i + n * j] = self.Vt[i * n + j]
-        dgetrf(&n, &n, A, &n, self.pivots, &info)
+        cdef double speed = dot(dq, dq, n) / (self.fast * self.fast), worn = 0.0, part
+        cdef Py_ssize_t i, j, k
+        for i in range(m):
+            for k in range(m):
+                A[i + m * k] = dot(self.J + i * n, self.Qt + k * n, n)
+        dgetrf(&m, &m, A, &m, self.pivots, &info)
         if info == 0:
-            dgetri(&n, A, &n, self.pivots, self.work, &self.room, &info)
-        # A is H = [U B, D] now, column by column.
-        UB = dot(A, A, self.m * n)
-        if info != 0 or not UB * max(speed, 1.0) < self.most:
+            dgetri(&m, A, &m, self.pivots, self.work, &self.room, &info)
+        if info != 0 or not dot(A, A, m * m) * max(speed, 1.0) < self.most:
             return None
-        bound = dot(A + self.m * n, A + self.m * n, (n - self.m) * n) - n + self.m + 1.0
         cdef cnp.ndarray ddq = empty(n)
         cdef double *x = data(ddq)
-        for i in range(n):
-            x[i] = 0.0
         for j in range(n):
-            for i in range(n):
-                x[i] += A[i + n * j] * self.F[j]
-        return ddq, 1.0 / sqrt(max(bound, 1.0))
+            x[j] = 0.0
+        for k in range(r):
+            for j in range(n):
+                x[j] += self.Vt[k * n + j] * self.F[m + k]
+        for i in range(m):
+            self.F[i] -= dot(self.J + i * n, x, n)
+        for k in range(m):
+            part = 0.0
+            for i in range(m):
+                part += A[k + m * i] * self.F[i]
+            for j in range(n):
+                x[j] += self.Qt[k * n + j] * part
+        # The squares of D = V − Q (JQ)⁻¹ J V, beyond those of V.
+        for k in range(r):
+            for i in range(m):
+                self.x[i] = dot(self.J + i * n, self.Vt + k * n, n)
+            for i in range(m):
+                part = 0.0
+                for j in range(m):
+                    part += A[i + m * j] * self.x[j]
+                worn += part * part
+        return ddq, 1.0 / sqrt(1.0 + worn)
 
 
 cdef class TrackingLaw(Drive):
     """`EosController.asked` for self-motion that is tracked, and `Chart.drive` of it; Eqs. (36), (45).
 
     Args:
-        Vt, most, fast: As for `Drive`.
+        Vt, Qt, most, fast: As for `Drive`.
         kp, kd: Gains of the task, (m,).
         kp_v, kd_v: Gains of the self-motion, (r,).
         v: Where Vᵀ q should be, (r,).
@@ -161,8 +180,8 @@ cdef class TrackingLaw(Drive):
     cdef double *kd_v
     cdef double *v
 
-    def __init__(self, Vt, most, fast, kp, kd, kp_v, kd_v, v):
-        super().__init__(Vt, most, fast)
+    def __init__(self, Vt, Qt, most, fast, kp, kd, kp_v, kd_v, v):
+        super().__init__(Vt, Qt, most, fast)
         self.made_from += kp, kd, kp_v, kd_v, v
         vectors = tuple(np.array(given, dtype=float) for given in (kp, kd, kp_v, kd_v, v))
         self.kept += vectors
@@ -200,8 +219,8 @@ cdef class TrackingLaw(Drive):
         for i in range(m):
             dz = 0.0
             for j in range(n):
-                self.A[i + n * j] = entry(J, i, j)
-                dz += self.A[i + n * j] * data(dq)[j]
+                self.J[i * n + j] = entry(J, i, j)
+                dz += self.J[i * n + j] * data(dq)[j]
             self.F[i] = (
                 self.kp[i] * data(error)[i] + self.kd[i] * (data(dz_d)[i] - dz) + (data(ddz_d)[i] - data(drift)[i])
             )
@@ -400,3 +419,14 @@ def newton_step(cnp.ndarray base, cnp.ndarray U, cnp.ndarray u, cnp.ndarray B, c
         for j in range(m):
             data(q)[i] -= entry(U, i, j) * data(u_next)[j]
     return u_next, q
+
+
+def state_rate(cnp.ndarray dq, cnp.ndarray ddq, cnp.ndarray tau):
+    cdef Py_ssize_t n = cnp.PyArray_SIZE(dq), i
+    cdef cnp.ndarray dx = empty(2 * n + 1)
+    if not (plain(dq, n) and plain(ddq, n) and plain(tau, n)):
+        return np.concatenate((dq, ddq, [np.dot(tau, dq)]))
+    for i in range(n):
+        data(dx)[i], data(dx)[n + i] = data(dq)[i], data(ddq)[i]
+    data(dx)[2 * n] = dot(data(tau), data(dq), n)
+    return dx

@@ -12,7 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -161,6 +161,22 @@ class EosMemory:
         return self.drive.chart
 
 
+class Observation(NamedTuple):
+    """What `EosController` does in one state.
+
+    Attributes:
+        tau: Joint torques [N m or N].
+        point: Task point and its derivatives.
+        to_singularity: Task acceleration given up because the task is nearly singular, (m,).
+        to_limits: Task acceleration given up to limits, (m,).
+    """
+
+    tau: JointVector
+    point: TaskPoint
+    to_singularity: TaskVector
+    to_limits: TaskVector
+
+
 class EosController(TaskController):
     """Computed torque in extended operational space: task and self-motion on laws of their own.
 
@@ -200,7 +216,8 @@ class EosController(TaskController):
         smooth: bool = True,
     ) -> None:
         super().__init__(task, reference, kp=kp, kd=kd, feedforward=feedforward, gravity=gravity)
-        self.smooth, self._rest = smooth, readonly(np.zeros(task.m))
+        self.smooth = smooth
+        self._rest, self._unchanged = readonly(np.zeros(task.m)), readonly(np.zeros(task.robot.n))
         self.self_motion = self_motion or Track()
         self.atlas = atlas or Atlas(task)
         if self.atlas.task is not task:
@@ -226,7 +243,7 @@ class EosController(TaskController):
     def torque(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> JointVector:
         point = self.task.at(q, dq)
         ddq, _ = self._drive(t, q, dq, memory, point)
-        return self._torque(q, dq, ddq, memory, point)
+        return self._within(q, dq, ddq, point)[0]
 
     def _drive(
         self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint
@@ -254,21 +271,29 @@ class EosController(TaskController):
         F_z = self.task_acceleration(t, point) - point.drift
         return np.concatenate((F_z, self.self_motion.acceleration(t, q, dq, chart)))
 
-    def _torque(
-        self, q: JointVector, dq: JointVector, ddq: JointVector, memory: EosMemory, point: TaskPoint
-    ) -> JointVector:
-        """M ddq − R, Eq. (35)."""
-        return self._model.inverse_dynamics(q, dq, ddq)
+    def _within(
+        self, q: JointVector, dq: JointVector, ddq: JointVector, point: TaskPoint
+    ) -> tuple[JointVector, JointVector]:
+        """M ddq − R, Eq. (35), and what limits change in ddq on average over a period; nothing here."""
+        return self._model.inverse_dynamics(q, dq, ddq), self._unchanged
 
     def given_up(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> TaskVector:
+        found = self.observe(t, q, dq, memory)
+        return found.to_singularity + found.to_limits
+
+    def observe(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> Observation:
+        """The torque at a state, and what it is made of, for the record of a run."""
         point = self.task.at(q, dq)
-        ddq, _ = self._drive(t, q, dq, memory, point)
-        return self.task_acceleration(t, point) - point.J.dot(ddq) - point.drift
+        ddq, margin = self._drive(t, q, dq, memory, point)
+        # Where a direction fades no bound of the margin comes with the acceleration.
+        singular = self._rest if margin else self.task_acceleration(t, point) - point.J.dot(ddq) - point.drift
+        tau, change = self._within(q, dq, ddq, point)
+        return Observation(tau, point, singular, self._rest if change is self._unchanged else -point.J.dot(change))
 
     def margin(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> float:
         _, J = self.task.linearize(q)
         try:
-            return memory.chart.margin(J, enough=self.atlas.threshold) - self.atlas.threshold
+            return memory.drive.margin(J, self.atlas.threshold) - self.atlas.threshold
         except SingularError:
             # No chart can be made here; the one there is serves until the task has full rank again.
             return 1.0
@@ -294,7 +319,7 @@ class EosController(TaskController):
         if margin <= self.atlas.threshold and not self._holds(memory.chart, point.J):
             memory = self.update(t, q, dq, memory)
             ddq, _ = self._drive(t, q, dq, memory, point)
-        return self._torque(q, dq, ddq, memory, point), memory
+        return self._within(q, dq, ddq, point)[0], memory
 
     def _holds(self, chart: Chart, J: Jacobian) -> bool:
         """Whether the chart serves; where no chart can be made, the one there is does."""

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from eos_pin.arrays import Jacobian, JointVector, SelfMotionVector, TaskVector
+from eos_pin.bases import DENSE
 from eos_pin.charts import DENSE_SOLVE, EDGE, Chart
 from eos_pin.compiled import kernels
 from eos_pin.errors import ChartError
@@ -33,13 +34,18 @@ class Drive:
         robot = chart.task.robot
         # Unit of each row of G', so that singular values compare: metres are measured in reaches.
         self._units = np.array([robot.reach if unit == "m" else 1.0 for unit in chart.task.units])
+        self._nothing = np.zeros(chart.n)
         #: Square of the size of U B from which directions may fade.
         self.most = 1.0 / (FADING * float(self._units.max(initial=1.0))) ** 2
 
     @cached_property
     def _compiled(self) -> Any:
-        small = self.chart.n <= DENSE_SOLVE
-        return kernels.Drive(self.chart.Vt, self.most, FAST) if kernels and small else None
+        # For many joints products with a basis that is not written out are cheaper.
+        return kernels.Drive(*self._made_from) if kernels and self.chart.n <= DENSE else None
+
+    @property
+    def _made_from(self) -> tuple[Any, ...]:
+        return self.chart.Vt, self.chart.row_basis.T, self.most, FAST
 
     def __call__(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
         """Joint acceleration, and a lower bound of the chart's margin that is got on the way, 0 if none is.
@@ -70,7 +76,13 @@ class Drive:
         if self._compiled is None or not isinstance(v_d, Hold):
             return None
         held = v_d.z + self.chart.basis.project(self.chart.q_bar) - self.chart.v_bar
-        return kernels.TrackingLaw(self.chart.Vt, self.most, FAST, kp, kd, kp_v, kd_v, held)
+        return kernels.TrackingLaw(*self._made_from, kp, kd, kp_v, kd_v, held)
+
+    def margin(self, J: Jacobian, enough: float) -> float:
+        """`Chart.margin`, or a lower bound of it that exceeds `enough`."""
+        nothing = self._nothing
+        driven = None if self._compiled is None else self._compiled(J, nothing, nothing)
+        return driven[1] if driven is not None and driven[1] > enough else self.chart.margin(J, enough=enough)
 
     def readable(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
         """The same, without what is compiled."""

@@ -222,7 +222,7 @@ class RunOptions:
         push_time: When the push begins and ends [s].
         torque_limits: Clip torques at the robot's limits.
         model_error: Largest relative error of masses, centres of mass and inertias that the controller does not know.
-        method: Integrator of a continuous run.
+        method: Integrator of a continuous run; by default LSODA, and DOP853 for tolerances below 1e-10.
         rtol: Tolerance of a continuous run.
     """
 
@@ -237,7 +237,7 @@ class RunOptions:
     push_time: tuple[float, float] = (1.0, 1.2)
     torque_limits: bool = False
     model_error: float = 0.0
-    method: Literal["DOP853", "LSODA", "RK45", "Radau", "BDF"] = "DOP853"
+    method: Literal["DOP853", "LSODA", "RK45", "Radau", "BDF"] | None = None
     rtol: float = 1e-9
 
     @property

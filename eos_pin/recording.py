@@ -7,15 +7,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from eos_pin.arrays import Array, JointVector, Vector, VectorLike, nearest, number
-from eos_pin.controllers import EosController
+from eos_pin.charts import Chart
+from eos_pin.controllers import EosController, Observation
 from eos_pin.errors import ChartError, EosError, SingularError
-from eos_pin.limits import LimitedEosController
 from eos_pin.results import Result, provenance
 from eos_pin.robot import Robot
 from eos_pin.systems import System
@@ -34,37 +34,60 @@ class Stop(Exception):  # noqa: N818 - an ending, not an error
         super().__init__(message)
 
 
+class _Row(NamedTuple):
+    """One sample."""
+
+    t: float
+    q: JointVector
+    dq: JointVector
+    ddq: JointVector
+    tau: JointVector
+    work: float
+    memory: Any
+    chart: Chart | None
+    seen: Observation | None
+
+
 class Recorder:
     """Collects samples, and how the run ended."""
 
     def __init__(self, system: System, times: Vector, arguments: dict[str, Any], observer: Observer | None) -> None:
-        self.system, self.times, self.arguments, self.observer = system, times, arguments, observer
+        self.system, self.arguments, self.observer = system, arguments, observer
+        self.times: list[float] = times.tolist()
         self.switches: list[float] = []
         self.status, self.message = "finished", ""
-        self._rows: list[tuple[Any, ...]] = []
+        self._rows: list[_Row] = []
         self._next = 0
         self._clock, self._wall = time.process_time(), time.perf_counter()
 
     def due(self, start: float, end: float) -> Iterator[float]:
         """Sample times from `start` up to `end` that have not been taken."""
-        while self._next < len(self.times) and self.times[self._next] <= end:
+        while self.is_due(end):
             if self.times[self._next] >= start:
-                yield float(self.times[self._next])
+                yield self.times[self._next]
             else:
                 self._next += 1
 
+    def is_due(self, end: float) -> bool:
+        """Whether there is a sample to take up to `end`."""
+        return self._next < len(self.times) and bool(self.times[self._next] <= end)
+
     def add(self, t: float, x: Vector, tau: JointVector | None = None) -> None:
         """Take a sample; the torque is the controller's unless it was held."""
-        if self._rows and t <= self._rows[-1][0]:
+        if self._rows and t <= self._rows[-1].t:
             self._next += t >= self.times[min(self._next, len(self.times) - 1)]
             return
         self._next += self._next < len(self.times) and t >= self.times[self._next]
         system = self.system
         q, dq = (np.array(a) for a in system.joints(x))
+        controller, seen = system.controller, None
+        if isinstance(controller, EosController):
+            seen = controller.observe(t, q, dq, system.memory)
         if tau is None:
-            tau = system.controller.torque(t, q, dq, system.memory)
+            tau = controller.torque(t, q, dq, system.memory) if seen is None else seen.tau
         ddq, _ = system.accelerate(t, q, dq, tau)
-        self._rows.append((t, q, dq, ddq, np.array(tau), x[-1], system.memory, getattr(system, "chart", None)))
+        chart = getattr(system, "chart", None) or getattr(system.memory, "chart", None)
+        self._rows.append(_Row(t, q, dq, ddq, np.array(tau), x[-1], system.memory, chart, seen))
         if self.observer is not None:
             self.observer(t, q)
 
@@ -76,44 +99,16 @@ class Recorder:
         except (Stop, EosError, KeyboardInterrupt) as ending:
             if not self._rows:
                 raise
-            self.status, self.message = _ending(ending, self._rows[-1][0])
+            self.status, self.message = _ending(ending, self._rows[-1].t)
 
     def result(self) -> Result:
         """The run as a value; what follows from the state is computed here, out of the loop's way."""
         controller, plant = self.system.controller, self.system.plant
-        t, q, dq, ddq, tau, work, memories, charts = zip(*self._rows, strict=True)
+        t, q, dq, ddq, tau, work, *_ = zip(*self._rows, strict=True)
         cpu, wall = time.process_time() - self._clock, time.perf_counter() - self._wall
         force = self.system.task_force
         task = getattr(controller, "task", None) or getattr(getattr(self.system, "atlas", None), "task", None)
         task = task or (force.task if force else None)
-        columns: dict[str, list[Any]] = {name: [] for name in (*_TASK_COLUMNS, "v", "dv", "v_ref", "chart")}
-        numbers: dict[int, int] = {}
-        for row in range(len(t)):
-            chart = charts[row] or getattr(memories[row], "chart", None)
-            columns["chart"].append(numbers.setdefault(id(chart), len(numbers)))
-            columns["v"].append(chart.v(q[row]) if chart else ())
-            columns["dv"].append(chart.dv(dq[row]) if chart else ())
-            asked = (
-                controller.self_motion_target(t[row], memories[row]) if isinstance(controller, EosController) else None
-            )
-            columns["v_ref"].append(asked.z if asked else np.full(chart.r if chart else 0, np.nan))
-            if task is None:
-                for name in _TASK_COLUMNS:
-                    columns[name].append(())
-                continue
-            # The plant's own kinematics; the controller's model may differ in inertia only.
-            point = task.at(q[row], dq[row])
-            reference = getattr(controller, "reference", None)
-            z_ref = reference(t[row]).z if reference else np.full(task.size, np.nan)
-            columns["z"].append(point.z)
-            columns["dz"].append(point.dz)
-            columns["z_ref"].append(z_ref)
-            columns["error"].append(task.minus(z_ref, point.z) if reference else np.full(task.m, np.nan))
-            columns["task_force"].append(np.asarray(force.force(t[row])) if force else np.zeros(task.m))
-            now, nothing = (t[row], q[row], dq[row], memories[row]), np.zeros(task.m)
-            columns["given_up"].append(controller.given_up(*now) if isinstance(controller, EosController) else nothing)
-            limited = controller if isinstance(controller, LimitedEosController) else None
-            columns["given_up_to_limits"].append(limited.given_up_to_limits(*now) if limited else nothing)
         info = provenance() | {
             "robot": _record(plant),
             "task": task.describe() if task else None,
@@ -129,8 +124,8 @@ class Recorder:
             dq=np.array(dq),
             ddq=np.array(ddq),
             tau=np.array(tau),
-            **{name: np.array(values, dtype=float) for name, values in columns.items() if name != "chart"},
-            chart=np.array(columns["chart"], dtype=np.int64),
+            **self._self_motion(),
+            **self._task(task),
             kinetic_energy=np.array([plant.kinetic_energy(a, b) for a, b in zip(q, dq, strict=True)]),
             work=np.array(work),
             switches=np.array(self.switches, dtype=float),
@@ -151,6 +146,41 @@ class Recorder:
         message = f"part of the task was given up {when}"
         # While the controller settles that is to be expected; later the run has not done what it was to do.
         return replace(run, status="degraded" if lost[run.settled_row :].any() else run.status, message=message)
+
+    def _self_motion(self) -> dict[str, Array]:
+        """Number of the chart and self-motion of each sample."""
+        rows, controller = self._rows, self.system.controller
+        numbers: dict[Chart | None, int] = {}
+        number = np.array([numbers.setdefault(row.chart, len(numbers)) for row in rows])
+        r = max((chart.r for chart in numbers if chart), default=0)
+        v, dv, v_ref = np.full((3, len(rows), r), np.nan)
+        q, dq = np.array([row.q for row in rows]), np.array([row.dq for row in rows])
+        for chart, k in numbers.items():
+            if chart:
+                v[number == k] = chart.v_bar + chart.basis.project((q[number == k] - chart.q_bar).T).T
+                dv[number == k] = chart.basis.project(dq[number == k].T).T
+        if isinstance(controller, EosController):
+            targets = [controller.self_motion_target(row.t, row.memory) for row in rows]
+            v_ref = np.array([np.full(r, np.nan) if target is None else target.z for target in targets])
+        return {"chart": number, "v": v, "dv": dv, "v_ref": v_ref}
+
+    def _task(self, task: Task | None) -> dict[str, Array]:
+        """What became of the task at each sample."""
+        rows, controller, force = self._rows, self.system.controller, self.system.task_force
+        if task is None:
+            return {name: np.zeros((len(rows), 0)) for name in _TASK_COLUMNS}
+        # The plant's kinematics are those of the controller's model, which may differ in inertia only.
+        points = [task.at(row.q, row.dq) if row.seen is None else row.seen.point for row in rows]
+        z, dz = np.array([point.z for point in points]), np.array([point.dz for point in points])
+        z_ref, error, given_up = np.full_like(z, np.nan), np.full_like(dz, np.nan), np.zeros((2, *dz.shape))
+        reference = getattr(controller, "reference", None)
+        if reference is not None:
+            z_ref = np.array([reference(row.t).z for row in rows])
+            error = np.array(list(map(task.minus, z_ref, z)))
+        if isinstance(controller, EosController):
+            given_up = np.array([row.seen[2:] for row in rows if row.seen]).transpose(1, 0, 2)
+        forces = np.array([force.force(row.t) for row in rows], dtype=float) if force else np.zeros_like(dz)
+        return dict(zip(_TASK_COLUMNS, (z, dz, z_ref, error, forces, given_up.sum(axis=0), given_up[1]), strict=True))
 
 
 def _ending(ending: BaseException, t: float) -> tuple[str, str]:

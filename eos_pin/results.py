@@ -14,6 +14,7 @@ import platform
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import IO, Any
@@ -339,13 +340,18 @@ _ARRAYS = tuple(f.name for f in fields(Result) if f.name not in ("period", "stat
 
 def provenance() -> dict[str, Any]:
     """Versions that a run depends on."""
+    return {"versions": dict(_versions()), "python": platform.python_version(), "platform": sys.platform}
+
+
+@cache
+def _versions() -> dict[str, str]:
     versions = {}
     for name in ("eos-pin", "pin", "numpy", "scipy"):
         try:
             versions[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             versions[name] = "unknown"
-    return {"versions": versions, "python": platform.python_version(), "platform": sys.platform}
+    return versions
 
 
 def _largest(values: Array) -> float:

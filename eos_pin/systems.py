@@ -13,6 +13,7 @@ import numpy as np
 
 from eos_pin.arrays import JointVector, Vector, VectorLike, number, readonly, spread
 from eos_pin.atlas import Atlas
+from eos_pin.compiled import twin
 from eos_pin.controllers import Controller
 from eos_pin.errors import InputError
 from eos_pin.newton import Inverse
@@ -69,6 +70,12 @@ class Friction:
         """The same in plain values."""
         viscous, coulomb = (np.asarray(values).tolist() for values in (self.viscous, self.coulomb))
         return {"viscous": viscous, "coulomb": coulomb, "speed": self.speed}
+
+
+@twin
+def state_rate(dq: JointVector, ddq: JointVector, tau: JointVector) -> Vector:
+    """Time derivative of (q, dq, work) where the torques tau do the work."""
+    return np.concatenate((dq, ddq, [tau.dot(dq)]))
 
 
 @runtime_checkable
@@ -146,17 +153,16 @@ class JointSystem(System):
         return np.concatenate((q, dq, [0.0]))
 
     def rhs(self, t: float, x: Vector) -> Vector:
-        n = self.plant.n
-        q, dq = x[:n], x[n : 2 * n]
-        return self.derivative(t, x, self.controller.torque(t, q, dq, self.memory))
+        return self.derivative(t, x, None)
 
-    def derivative(self, t: float, x: Vector, tau: JointVector) -> Vector:
-        """Time derivative of the state under a torque."""
+    def derivative(self, t: float, x: Vector, tau: JointVector | None) -> Vector:
+        """Time derivative of the state under a torque, by default the controller's."""
         n = self.plant.n
-        dx = np.empty(2 * n + 1)
-        dx[:n] = x[n : 2 * n]
-        dx[n : 2 * n], dx[-1] = self.accelerate(t, x[:n], x[n : 2 * n], tau)
-        return dx
+        q, dq = x[:n], x[n:-1]
+        if tau is None:
+            tau = self.controller.torque(t, q, dq, self.memory)
+        tau = self.acting(t, q, dq, tau)
+        return state_rate(dq, self.plant.forward_dynamics(q, dq, tau), tau)
 
     def advance(self, t: float, x: Vector, tau: JointVector, length: float, substeps: int) -> Vector:
         """State after `length` seconds under a held torque, in `substeps` steps of the plant."""

@@ -16,7 +16,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from eos_pin import Chart, ControlLoop, EosController, Harmonic, Hold, OrientationTask, PoseTask, PositionTask, Track
+from eos_pin import (
+    Chart,
+    ControlLoop,
+    EosController,
+    Harmonic,
+    Hold,
+    OrientationTask,
+    PoseTask,
+    PositionTask,
+    TaskForce,
+    Track,
+)
 from eos_pin.compiled import ORIGINALS, kernels
 from eos_pin.driving import Drive
 from eos_pin.tasks import Task
@@ -41,9 +52,9 @@ def both(name, *arguments):
 
 
 def test_where_there_is_a_compiler_there_are_twins():
-    assert ControlLoop, Harmonic  # their modules have twins, too, and have been imported
+    assert ControlLoop, (Harmonic, TaskForce)  # their modules have twins, too, and have been imported
     assert kernels is not None
-    assert len(ORIGINALS) == 7
+    assert len(ORIGINALS) == 8
     assert all(hasattr(kernels, name) for name in ORIGINALS)
 
 
@@ -116,6 +127,14 @@ def test_the_parts_of_newtons_method(data):
         for twin, plain in zip(*both("newton_step", base, U, u, original, error), strict=True):
             np.testing.assert_allclose(twin, plain, rtol=0.0, atol=EXACT * (1.0 + np.abs(original).max()) * 1e4)
     assert kernels.on_chart_inverse(0.0 * J, U) is None
+
+
+@given(data=st.data())
+def test_the_rate_of_the_state(data):
+    n = data.draw(sizes)
+    dq, ddq, tau = (data.draw(vectors(n)) for _ in range(3))
+    for arguments in ((dq, ddq, tau), (dq[::-1], ddq, tau)):
+        np.testing.assert_allclose(*both("state_rate", *arguments), rtol=0.0, atol=EXACT * 1e3)
 
 
 @frame_tasks
