@@ -1,8 +1,7 @@
-"""Many states at once: control torques, and inverse kinematics on a chart.
+"""Many states at once: control torques, and inverse kinematics on a chart, from tables and into tables.
 
-The algebra is done for all states together; Pinocchio's passes stay one by one, and are most of what is left. Torques
-are those of `EosController.torque` to rounding, joints those of `Chart.inverse` to the tolerance asked for, in half to
-three quarters of the time.
+States are evaluated one after the other. A compiled step is mostly Pinocchio's passes, which cannot be taken together;
+doing the algebra of all states at once was tried, and took longer.
 """
 
 from __future__ import annotations
@@ -14,12 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eos_pin.arrays import Array, Matrix, VectorLike, numbers
-from eos_pin.charts import DENSE_SOLVE, Chart
-from eos_pin.controllers import Controller, EosController
+from eos_pin.charts import Chart
+from eos_pin.controllers import Controller
 from eos_pin.errors import InputError, InverseError
-from eos_pin.linear import haste
-from eos_pin.objectives import Track
-from eos_pin.targets import Trajectory
 
 #: A number for each state, and a row of joints, of the task or of the self-motion for each.
 Numbers: TypeAlias = Float[np.ndarray, " K"]
@@ -28,9 +24,6 @@ TaskTable: TypeAlias = Float[np.ndarray, "K size"]
 SelfMotionTable: TypeAlias = Float[np.ndarray, "K r"]
 #: What a caller may hand over where a table is meant.
 TableLike: TypeAlias = Array | Sequence[VectorLike]
-
-#: Fewer states than this are as quick one by one.
-FEW = 8
 
 
 class Inverses(NamedTuple):
@@ -51,8 +44,6 @@ def control_torques(
     controller: Controller, t: float | VectorLike, q: TableLike, dq: TableLike, *, memory: Any = None
 ) -> JointTable:
     """Joint torques of a controller in many states [N m or N].
-
-    It is quick for an `EosController` and many states on one chart; whatever else is evaluated state by state.
 
     Args:
         controller: The controller.
@@ -78,17 +69,8 @@ def control_torques(
     memories = memory if isinstance(memory, list) else [memory] * len(q)
     if len(memories) != len(q):
         raise InputError(f"there must be one memory, or one for each of the {len(q)} states; got {len(memories)}")
-    groups: dict[int, list[int]] = {}
-    for k, each in enumerate(memories):
-        groups.setdefault(id(each), []).append(k)
-    tau = np.empty_like(q)
-    for rows in groups.values():
-        states = times[rows], q[rows], dq[rows]
-        if type(controller) is EosController and len(rows) >= FEW and q.shape[1] <= DENSE_SOLVE:
-            tau[rows] = _eos_torques(controller, *states, memories[rows[0]])
-        else:
-            tau[rows] = _one_by_one(controller, *states, memories[rows[0]])
-    return tau
+    states = zip(times.tolist(), q, dq, memories, strict=True)
+    return np.array([controller.torque(*state) for state in states]).reshape(q.shape)
 
 
 def inverse_kinematics(
@@ -96,7 +78,7 @@ def inverse_kinematics(
 ) -> Inverses:
     """Joints at many task points and self-motion coordinates of one chart; Eqs. (13), (22).
 
-    Newton's method from the base point for all at once; where it does not converge, `Chart.inverse` walks there.
+    Each by `Chart.inverse`; a point that is not found leaves the others as they are.
 
     Args:
         chart: The chart.
@@ -110,89 +92,14 @@ def inverse_kinematics(
     """
     z = _table(z, None, chart.task.size, "z")
     v = _table(v, len(z), chart.r, "v")
-    q, residual = _newton(chart, z, v, tol, max_iterations)
-    for k in np.flatnonzero(~(residual <= tol)):
+    q, residual = np.full((len(z), chart.n), np.nan), np.empty(len(z))
+    for k, point in enumerate(zip(z, v, strict=True)):
         try:
-            one = chart.inverse(z[k], v[k], tol=tol, max_iterations=max_iterations)
-            q[k], residual[k] = one.q, one.residual
+            found = chart.inverse(*point, tol=tol, max_iterations=max_iterations)
+            q[k], residual[k] = found.q, found.residual
         except InverseError as error:
-            q[k], residual[k] = np.nan, error.residual
+            residual[k] = error.residual
     return Inverses(q, residual <= tol, residual)
-
-
-def _one_by_one(controller: Controller, t: Numbers, q: JointTable, dq: JointTable, memory: Any) -> JointTable:
-    return np.array([controller.torque(*state, memory) for state in zip(t.tolist(), q, dq, strict=True)])
-
-
-def _eos_torques(controller: EosController, t: Numbers, q: JointTable, dq: JointTable, memory: Any) -> JointTable:
-    """What `EosController.torque` does, for states on one chart."""
-    if memory.carried is not None:
-        return _one_by_one(controller, t, q, dq, memory)
-    task, chart = controller.task, memory.chart
-    z, J, dz, drift = map(np.array, zip(*(task.at(*state) for state in zip(q, dq, strict=True)), strict=True))
-    z_d, dz_d, ddz_d = _targets(controller.reference, t)
-    error = np.array([task.minus(*pair) for pair in zip(z_d, z, strict=True)])
-    F_z = controller.kp * error - controller.kd * dz - drift  # Eqs. (33), (36)
-    if controller.feedforward:
-        F_z += controller.kd * dz_d + ddz_d
-    A = np.empty((len(q), chart.n, chart.n))
-    A[:, : chart.m], A[:, chart.m :] = J, chart.Vt
-    try:
-        H = np.linalg.inv(A)
-    except np.linalg.LinAlgError:
-        return _one_by_one(controller, t, q, dq, memory)
-    F = np.hstack((F_z, _self_motion(controller, t, q, dq, chart)))
-    ddq = np.einsum("kij,kj->ki", H, F)
-    model = controller._model
-    tau = np.array([model.inverse_dynamics(*row) for row in zip(q, dq, ddq, strict=True)])
-    # Wherever a direction might fade out of the law the controller itself decides.
-    hastes = np.array([haste(row) for row in dq])
-    fading = np.einsum("kij,kij->k", H, H) * hastes >= memory.drive.most
-    if fading.any():
-        tau[fading] = _one_by_one(controller, t[fading], q[fading], dq[fading], memory)
-    return tau
-
-
-def _self_motion(controller: EosController, t: Numbers, q: JointTable, dq: JointTable, chart: Chart) -> SelfMotionTable:
-    """Self-motion part of F*, (K, r)."""
-    law = controller.self_motion
-    if type(law) is not Track:
-        return np.array([law.acceleration(*state, chart) for state in zip(t.tolist(), q, dq, strict=True)])
-    kp, kd, reference = law.law(chart.r)
-    v_d, dv_d, ddv_d = _targets(reference, t)
-    v, dv = chart.v_bar + (q - chart.q_bar) @ chart.V, dq @ chart.V
-    return ddv_d + kd * (dv_d - dv) + kp * (v_d - v)  # Eqs. (36), (45)
-
-
-def _targets(reference: Trajectory, t: Numbers) -> tuple[Matrix, ...]:
-    """Targets at many times; each time that occurs is asked for once."""
-    times, rows = np.unique(t, return_inverse=True)
-    return tuple(np.array(part)[rows] for part in zip(*map(reference, times.tolist()), strict=True))
-
-
-def _newton(
-    chart: Chart, z: TaskTable, v: SelfMotionTable, tol: float, max_iterations: int
-) -> tuple[JointTable, Numbers]:
-    """What `newton` does, for many points: joints and residuals; NaN or large where it ends early."""
-    task, U = chart.task, chart.U
-    base = chart.q_bar + chart.basis.apply((v - chart.v_bar).T).T
-    q, u = base.copy(), np.zeros((len(z), chart.m))
-    residual = np.full(len(z), np.inf)
-    left = np.arange(len(z))
-    for _ in range(max_iterations + 1):
-        if not left.size:
-            break
-        points, J = map(np.array, zip(*map(task.linearize, q[left]), strict=True))
-        error = np.array([task.minus(*pair) for pair in zip(points, z[left], strict=True)])
-        last, now = residual[left], np.abs(error).max(axis=1)
-        residual[left] = now
-        GU = J @ U
-        # det G'U > 0 at the base point, so it is positive on all of the chart.
-        on = (now > tol) & (now < last) & (np.linalg.det(GU) > 0.0)
-        left = left[on]
-        u[left] += np.linalg.solve(GU[on], error[on][:, :, None])[:, :, 0]
-        q[left] = base[left] - u[left] @ U.T
-    return q, residual
 
 
 def _table(values: TableLike, rows: int | None, columns: int | None, name: str) -> Matrix:
