@@ -8,21 +8,24 @@ continuous function of the state: limits are approached smoothly, and nothing is
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import daqp
 import numpy as np
+from jaxtyping import Float
 
-from eos_pin.arrays import Jacobian, JointVector, Matrix, TaskVector, Vector, VectorLike, number, readonly, spread
+from eos_pin.arrays import Array, Jacobian, JointVector, Vector, VectorLike, number, readonly, spread
 from eos_pin.atlas import Atlas
-from eos_pin.controllers import EosController, EosMemory
+from eos_pin.compiled import kernels
+from eos_pin.controllers import EosController
 from eos_pin.errors import InputError
 from eos_pin.objectives import Objective
 from eos_pin.robot import Robot
+from eos_pin.targets import Trajectory
 from eos_pin.tasks import Task, TaskPoint
-from eos_pin.trajectories import Trajectory
 
 #: Rate at which a joint closes in on a limit of position or velocity [1/s].
 RATE = 100.0
@@ -33,13 +36,13 @@ ROOM = 10.0
 #: task exactly, up to where that would take excessive self-motion; the second shares what must be given up among the
 #: directions of the task, so that the robot is not caught where it gives up one of them for ever.
 TASK_PRICE, TASK_WEIGHT = 1e3, 1e4
-#: Price of position and velocity limits; so high that they give way to nothing but torque limits.
-LIMIT_PRICE = 1e10
+#: The same for position and velocity limits; so high that they give way to nothing but torque limits.
+LIMIT_PRICE, LIMIT_WEIGHT = 1e8, 1e5
 #: Where each joint may be accelerated by this much more than it is, limits are not looked at more closely
 #: [rad/s² or m/s²].
 CLEAR = 20.0
-#: How daqp is told that there is no bound.
-FAR = 1e20
+#: How daqp is told that a limit may be passed at a price, and how close to zero is zero for the task [m/s² or rad/s²].
+SOFT, ZERO = 8, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,22 +133,22 @@ class _Viability:
     """`JointLimits.accelerations` for one period, in the form of 2n upper bounds: for ddq, and for −ddq."""
 
     def __init__(self, limits: JointLimits, period: float) -> None:
-        rate, n = min(RATE, 0.5 / period), limits.lower.size
+        n = limits.lower.size
+        self.rate = min(RATE, 0.5 / period)
         # Towards the lower limit everything is mirrored.
         self.sides = np.vstack((np.eye(n), -np.eye(n)))
-        self._ends = np.concatenate((limits.upper, -limits.lower)) - ROOM * period**2
-        self._braking, self._acceleration = np.tile(limits.braking, 2), np.tile(limits.acceleration, 2)
-        self._fastest = rate * np.tile(limits.velocity, 2)
-        self._rate = rate
+        self.ends = np.concatenate((limits.upper, -limits.lower)) - ROOM * period**2
+        self.braking, self.acceleration = np.tile(limits.braking, 2), np.tile(limits.acceleration, 2)
+        self.fastest = self.rate * np.tile(limits.velocity, 2)
 
     def __call__(self, q: JointVector, dq: JointVector) -> Vector:
-        b, rate = self._braking, self._rate
-        room, speed = self._ends - self.sides.dot(q), self.sides.dot(dq)
+        b, rate = self.braking, self.rate
+        room, speed = self.ends - self.sides.dot(q), rate * self.sides.dot(dq)
         # ρ V = root − b and V' = ρ b / root
         root = np.sqrt(2.0 * rate**2 * b * np.maximum(room, 0.0) + b * b)
-        most = root - b + rate**2 * np.minimum(room, 0.0) - rate * b / root * speed
-        most = np.minimum(most, self._fastest) - rate * speed
-        return np.minimum(np.maximum(most, -self._acceleration), self._acceleration)
+        most = root - b + rate**2 * np.minimum(room, 0.0) - b / root * speed
+        most = np.minimum(most, self.fastest) - speed
+        return np.minimum(np.maximum(most, -self.acceleration), self.acceleration)
 
 
 def sure_braking(robot: Robot, torque: JointVector, *, seed: int = 0) -> JointVector:
@@ -210,86 +213,121 @@ class LimitedEosController(EosController):
         self.limits = limits or JointLimits.of(task.robot)
         self.period = number(period, "the control period", above=0.0)
         self._viability = _Viability(self.limits, self.period)
-        self._per_torque = 1.0 / self.limits.torque
+        self._smallest = SmallestChange(task.m, task.robot.n)
 
     def describe(self) -> dict[str, Any]:
         kept = {name: getattr(self.limits, name).tolist() for name in ("velocity", "braking", "torque")}
         return super().describe() | {"period": self.period, "limits": kept}
 
-    def given_up(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> TaskVector:
-        return super().given_up(t, q, dq, memory) + self.given_up_to_limits(t, q, dq, memory)
-
-    def given_up_to_limits(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> TaskVector:
-        """The part of `given_up` that limits take, on average over a period; a singularity takes the rest."""
-        point = self.task.at(q, dq)
-        ddq, _ = self._drive(t, q, dq, memory, point)
-        return -point.J @ self._within(q, dq, ddq, point.J)[1]
-
-    def _torque(
-        self, q: JointVector, dq: JointVector, ddq: JointVector, memory: EosMemory, point: TaskPoint
-    ) -> JointVector:
-        return self._within(q, dq, ddq, point.J)[0]
+    @cached_property
+    def _compiled(self) -> Any:
+        kept, compiled = self._viability, getattr(kernels, "Limits", None)
+        return compiled and compiled(
+            self.period, kept.rate, kept.ends, kept.fastest, kept.braking, kept.acceleration, self.limits.torque, CLEAR,
+            self._model, self._smallest,
+        )  # fmt: skip
 
     def _within(
+        self, q: JointVector, dq: JointVector, ddq: JointVector, point: TaskPoint
+    ) -> tuple[JointVector, JointVector]:
+        found = None if self._compiled is None else self._compiled(q, dq, ddq, point.J)
+        return self.readable(q, dq, ddq, point.J) if found is None else found
+
+    def readable(
         self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
     ) -> tuple[JointVector, JointVector]:
-        """Torque within all limits, and what it changes in the joint acceleration that was asked for."""
-        model, half, sides = self._model, 0.5 * self.period, self._viability.sides
-        most = self._viability(q, dq)
-        tau = model.inverse_dynamics(q, dq, ddq)
-        part = tau * self._per_torque
-        # Far from all limits nothing needs to be predicted.
-        if part.dot(part) < 1.0 and (most - sides.dot(ddq)).min() > CLEAR:
-            return tau, np.zeros_like(tau)
-        n, torque = ddq.size, self.limits.torque
-        most, least = most[:n], np.minimum(-most[n:], most[:n])
-        mean = np.minimum(np.maximum(ddq, least), most)
-        # A held torque accelerates the joints, on average, as in the middle of the period; twice, because where that is
-        # depends on the acceleration.
-        for _ in range(2):
-            middle = q + half * (dq + 0.5 * half * mean)
-            free = model.forward_dynamics(middle, dq + half * mean, tau)
-            if (free <= most).all() and (free >= least).all() and (np.abs(part) <= 1.0).all():
-                return tau, np.zeros_like(tau)
-            M = model.mass(middle)
-            change = self._change(J, M, least - free, most - free, -torque - tau, torque - tau)
-            mean = free + change
-        # For rounding only.
-        return np.clip(tau + M @ change, -torque, torque), change
+        """Torque within all limits, and what they change in the joint acceleration; what is compiled does the same.
 
-    def _change(
-        self,
-        J: Jacobian,
-        M: Matrix,
-        least: JointVector,
-        most: JointVector,
-        least_torque: JointVector,
-        most_torque: JointVector,
-    ) -> JointVector:
-        """Smallest change of acceleration that keeps all limits, and that the task feels only where it must.
-
-        It is the Δ that minimizes ½|Δ|² + TASK_PRICE Σt + ½ TASK_WEIGHT Σt² + LIMIT_PRICE (w + ½ w²) where |JΔ| ≤ t,
-        least − w ≤ Δ ≤ most + w, and MΔ is within the torques. Prices are due from the first bit on, so t and w are
-        exactly zero wherever that costs less. The minimum always exists, is unique, and moves continuously.
+        Args:
+            q: Joints.
+            dq: Joint velocities.
+            ddq: Joint acceleration that is asked for.
+            J: Jacobian of the task.
         """
-        m, n = J.shape
-        H, prices, rows = self._program
-        A = rows.copy()
-        A[2 * n :, m + 1 :] = np.concatenate((M, J, J))
-        upper = np.concatenate(([FAR], most, np.full(n, FAR), most_torque, np.zeros(m), np.full(m, FAR)))
-        lower = np.concatenate(([0.0], np.full(n, -FAR), least, least_torque, np.full(m, -FAR), np.zeros(m)))
-        x, _, flag, _ = daqp.solve(H, prices, A, np.minimum(upper, FAR), np.maximum(lower, -FAR))
-        # Only numbers beyond all reason have no solution; then every joint for itself.
-        return x[m + 1 :] if flag > 0 else np.clip(0.0, least, most)
+        model, n, torque = self._model, q.size, self.limits.torque
+        most = self._viability(q, dq)
+        tau, change = model.inverse_dynamics(q, dq, ddq), np.zeros(n)
+        part = tau / torque
+        # Far from all limits nothing needs to be predicted.
+        if part.dot(part) < 1.0 and (most - self._viability.sides.dot(ddq)).min() > CLEAR:
+            return tau, change
+        most, least = most[:n], np.minimum(-most[n:], most[:n])
+        lower, upper = np.concatenate((least, -torque)), np.concatenate((most, torque))
+        # A held torque accelerates the joints, on average, as in the middle of the period.
+        shift = np.minimum(np.maximum(ddq, least), most)
+        middle, speed = self._middle(q, dq, shift)
+        mean = model.forward_dynamics(middle, speed, tau)
+        now = np.concatenate((mean, tau))
+        if (lower <= now).all() and (now <= upper).all():
+            return tau, change
+        # So that without a change the middle stays where it is, and the torque is continuous.
+        shift -= np.minimum(np.maximum(mean, least), most)
+        change = self._smallest(J, model.mass(middle), lower - now, upper - now)
+        # Where the middle is depends on the change.
+        mean += change
+        middle, speed = self._middle(q, dq, mean + shift)
+        tau = model.inverse_dynamics(middle, speed, mean)
+        if (np.abs(tau) > torque).any():
+            now, M = np.concatenate((mean, tau)), model.mass(middle)
+            more = self._smallest(J, M, lower - now, upper - now)
+            tau, change = tau + M.dot(more), change + more
+        # For rounding only.
+        return np.minimum(np.maximum(tau, -torque), torque), change
 
-    @cached_property
-    def _program(self) -> tuple[Matrix, Vector, Matrix]:
-        """Cost ½ xᵀHx + pᵀx of x = (w, t, Δ), and the rows of what is bounded, with M and J still to be filled in."""
-        m, n = self.task.m, self.task.robot.n
-        H = np.diag([LIMIT_PRICE] + [TASK_WEIGHT] * m + [1.0] * n)
-        prices = np.array([LIMIT_PRICE] + [TASK_PRICE] * m + [0.0] * n)
-        rows = np.zeros((3 * n + 2 * m, 1 + m + n))
-        rows[: 2 * n, 0] = np.repeat((-1.0, 1.0), n)
-        rows[: 2 * n, m + 1 :] = np.tile(np.eye(n), (2, 1))
-        rows[3 * n :, 1 : m + 1] = np.concatenate((-np.eye(m), np.eye(m)))
-        return H, prices, rows
+    def _middle(self, q: JointVector, dq: JointVector, ddq: JointVector) -> tuple[JointVector, JointVector]:
+        """The state in the middle of the period."""
+        half = 0.5 * self.period
+        speed = dq + half * ddq
+        return q + 0.5 * half * (dq + speed), speed
+
+
+class SmallestChange:
+    """Smallest change of acceleration that keeps all limits, and that the task feels only where it must.
+
+    It is the Δ that minimizes ½|Δ|² + Σ(TASK_PRICE t + ½ TASK_WEIGHT t²) + Σ(LIMIT_PRICE w + ½ LIMIT_WEIGHT w²) where
+    |JΔ| ≤ t, least − w ≤ Δ ≤ most + w, and MΔ is within the torques. Prices are due from the first bit on, so t and w
+    are exactly zero wherever that costs less. The minimum always exists, is unique, and moves continuously.
+
+    Args:
+        m: Number of task directions.
+        n: Number of joints.
+    """
+
+    def __init__(self, m: int, n: int) -> None:
+        self._made_from = m, n
+        sizes = n, n, m
+        # t and w are the slacks that daqp itself gives to soft limits, so only Δ is unknown.
+        self._kinds = np.repeat(np.array((SOFT, 0, SOFT), dtype=np.intc), sizes)
+        self._rows, self._upper = np.ones((n + m, n)), np.full(2 * n + m, ZERO)
+        self._lower = -self._upper
+        self._model = daqp.Model()
+        self._model.setup(np.eye(n), np.zeros(n), self._rows, self._upper, self._lower, self._kinds)
+        prices = np.repeat((LIMIT_PRICE, 0.0, TASK_PRICE), sizes)
+        per_weight = np.repeat((1.0 / LIMIT_WEIGHT, 0.0, 1.0 / TASK_WEIGHT), sizes)
+        self._model.soft_weights(per_weight, per_weight, prices, prices)
+
+    def __call__(
+        self, J: Jacobian, M: Float[Array, "n n"], lower: Float[Array, "2*n"], upper: Float[Array, "2*n"]
+    ) -> JointVector:
+        """Smallest change.
+
+        Args:
+            J: Jacobian of the task.
+            M: Mass matrix.
+            lower: Least change of the accelerations and of the torques [rad/s² or m/s², N m or N].
+            upper: Largest change of both.
+        """
+        n = len(M)
+        self._rows[:n], self._rows[n:] = M, J
+        self._lower[: 2 * n], self._upper[: 2 * n] = lower, upper
+        # The kinds once more, lest the solution before be the start.
+        self._model.update(A=self._rows, bupper=self._upper, blower=self._lower, sense=self._kinds)
+        change, _, flag, _ = self._model.solve()
+        if flag > 0 and math.isfinite(change.dot(change)):
+            return change
+        # Only numbers beyond all reason have no solution; then every joint for itself.
+        return np.clip(0.0, lower[:n], upper[:n])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The workspace is made anew where it is unpickled.
+        return type(self), self._made_from

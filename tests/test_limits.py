@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
+import daqp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,6 +14,7 @@ from hypothesis import strategies as st
 from eos_pin import (
     EosController,
     Geodesic,
+    Hold,
     InputError,
     JointLimits,
     LimitedEosController,
@@ -21,7 +26,8 @@ from eos_pin import (
     figure_eight,
     simulate_sampled,
 )
-from eos_pin.limits import sure_braking
+from eos_pin.compiled import kernels
+from eos_pin.limits import LIMIT_PRICE, LIMIT_WEIGHT, TASK_PRICE, TASK_WEIGHT, SmallestChange, sure_braking
 
 REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 TCP = "panda_hand_tcp"
@@ -145,6 +151,75 @@ def test_the_torque_is_continuous_through_singularities_and_limits(panda: Robot)
     assert (np.abs(np.abs(run.dq) / panda.velocity - 1.0) < 1e-3).any()
     assert coarse.max() < 40.0
     assert fine.max() < 0.3 * coarse.max()
+
+
+def with_slacks(
+    J: np.ndarray, M: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`SmallestChange` word by word: w, t and Δ are unknown, and every inequality is a row."""
+    m, n = J.shape
+    none, I_n, I_m = np.zeros, np.eye(n), np.eye(m)
+    weights = np.repeat((LIMIT_WEIGHT, TASK_WEIGHT, 1.0), (n, m, n))
+    prices = np.repeat((LIMIT_PRICE, TASK_PRICE, 0.0), (n, m, n))
+    A = np.block(
+        [
+            [-I_n, none((n, m + n))],
+            [-I_n, none((n, m)), I_n],
+            [-I_n, none((n, m)), -I_n],
+            [none((n, n + m)), M],
+            [none((n, n + m)), -M],
+            [none((m, n)), -I_m, J],
+            [none((m, n)), -I_m, -J],
+        ]
+    )
+    most = np.concatenate((none(n), upper[:n], -lower[:n], upper[n:], -lower[n:], none(2 * m)))
+    x, _, flag, _ = daqp.solve(np.diag(weights), prices, A, np.minimum(most, 1e20), np.full(len(most), -1e20))
+    assert flag > 0
+    return x[:n], x[n : n + m], x[n + m :]
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([(1, 3), (3, 7), (6, 7), (6, 6)]))
+def test_the_change_is_the_smallest(seed, size):
+    m, n = size
+    random = np.random.default_rng(seed)
+    J, root = random.normal(size=(m, n)), random.normal(size=(n, n))
+    # Often at or near a singularity.
+    U, s, Vt = np.linalg.svd(J, full_matrices=False)
+    s[-1] *= random.choice([0.0, 1e-9, 1e-3, 1.0])
+    J, M = U * s @ Vt, root @ root.T + 0.1 * np.eye(n)
+    # Some bounds demand a change, some forbid one, some are at odds with the torques, and some are not there.
+    lower = random.choice([1.0, 10.0, 100.0]) * random.uniform(-3.0, 1.0, 2 * n)
+    upper = np.where(random.random(2 * n) < 0.2, np.inf, lower + random.exponential(50.0, 2 * n))
+    lower[n:] = np.minimum(lower[n:], 0.0)
+    smallest = SmallestChange(m, n)
+    change = smallest(J, M, lower, upper)
+    w, t, expected = with_slacks(J, M, lower, upper)
+    scale = 1.0 + np.abs(expected).max()
+    np.testing.assert_allclose(change, expected, atol=1e-4 * scale)
+    np.testing.assert_allclose(np.maximum(np.abs(J @ change) - t, 0.0), 0.0, atol=1e-4 * scale)
+    assert (M @ change <= upper[n:] + 1e-5 * scale).all()
+    assert (change <= upper[:n] + w + 1e-5 * scale).all()
+    # Nothing is remembered, in copies neither.
+    smallest(-J, M, lower - 1.0, upper)
+    for twin in (smallest, copy.deepcopy(smallest), pickle.loads(pickle.dumps(smallest))):
+        np.testing.assert_array_equal(twin(J, M, lower, upper), change)
+
+
+@pytest.mark.skipif(not hasattr(kernels, "Limits"), reason="installed without a C compiler")
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 1e-2]), st.sampled_from([1.0, 30.0, 1000.0]))
+def test_what_is_compiled_does_the_same(panda, task, limits, seed, period, size):
+    random = np.random.default_rng(seed)
+    controller = LimitedEosController(task, Hold(task.value(REST)), limits=limits, period=period)
+    # A beta distribution that favours the ends of the range.
+    q = panda.lower + (panda.upper - panda.lower) * random.beta(0.3, 0.3, 7)
+    dq, ddq = panda.velocity * random.normal(size=7) / 3.0, size * random.normal(size=7)
+    point = task.at(q, dq)
+    for _ in range(2):
+        for one, other in zip(
+            controller._within(q, dq, ddq, point), controller.readable(q, dq, ddq, point.J), strict=True
+        ):
+            np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * size)
+        controller = pickle.loads(pickle.dumps(controller))
 
 
 def test_sure_braking_is_held_by_the_torque_limits(panda: Robot) -> None:
