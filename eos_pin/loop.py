@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from eos_pin.arrays import JointVector, VectorLike, number, numbers, spread, vector
+from eos_pin.arrays import JointVector, TaskVector, VectorLike, number, numbers, spread, vector
 from eos_pin.compiled import twin
-from eos_pin.controllers import Controller
+from eos_pin.controllers import Controller, TaskController
 from eos_pin.errors import InputError, StateError
 
 
@@ -18,8 +18,8 @@ class ControlLoop:
 
     What it does about trouble: a state of the wrong shape or not finite, a clock that runs backwards, and a jump of the
     joints raise a `StateError`, change nothing, and the next step may go on; after a jump the next state is believed
-    if it is near the one that was refused. Torques beyond the limits are cut, and `saturated` says so. A target that
-    cannot be reached, or a singularity of the task, is the controller's own business, and its torque stays bounded.
+    if it is near the one that was refused. Torques beyond the limits are cut, and `saturated` says so. At a target
+    that cannot be reached and at a singularity of the task the torque stays bounded, and `given_up` says what it lacks.
 
     Args:
         controller: The controller.
@@ -81,6 +81,19 @@ class ControlLoop:
         tau, self.memory = self.controller.step(t, q_now, dq_now, self.memory)
         self.saturated = False
         return tau if surely_within(tau, self._per_limit) else self._cut(t, tau)
+
+    def given_up(self, t: float, q: VectorLike, dq: VectorLike) -> TaskVector | None:
+        """Task acceleration that is asked for in a state and that a step there does not bring, (m,).
+
+        Zero to rounding where the task is done as it should be; it takes as long as a step, so ask when it matters.
+        None before the first step, and for a controller that has no task.
+
+        Raises:
+            StateError: The state cannot be used.
+        """
+        if self.memory is None or not isinstance(self.controller, TaskController):
+            return None
+        return self.controller.given_up(t, self._checked(q, "q"), self._checked(dq, "dq"), self.memory)
 
     def _cut(self, t: float, tau: JointVector) -> JointVector:
         """Torques within the limits."""

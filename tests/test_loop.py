@@ -98,3 +98,22 @@ def test_bad_settings_are_refused(panda: Robot) -> None:
         ControlLoop(controller, torque_limits=-1.0)
     with pytest.raises(InputError, match="jump"):
         ControlLoop(controller, jump=0.0)
+
+
+def test_what_a_target_out_of_reach_costs_is_told(panda: Robot) -> None:
+    task = PositionTask(panda, "panda_hand_tcp")
+    far = ControlLoop(EosController(task, Hold(task.value(REST) + np.array([2.0, 0.0, 0.0]))))
+    assert far.given_up(0.0, REST, STILL) is None
+    q, dq = REST, STILL
+    for k in range(2000):
+        tau = far.step(1e-3 * k, q, dq)
+        assert np.all(np.abs(tau) <= panda.effort)
+        dq = dq + 1e-3 * panda.forward_dynamics(q, dq, tau)
+        q = q + 1e-3 * dq
+    lost = far.given_up(2.0, q, dq)
+    assert lost is not None
+    assert np.abs(lost).max() > 1.0
+    near = ControlLoop(EosController(task, Hold(task.value(REST) + 0.1)))
+    near.step(0.0, REST, STILL)
+    np.testing.assert_allclose(near.given_up(0.0, REST, STILL), 0.0, atol=1e-9)  # type: ignore[arg-type]
+    assert ControlLoop(OpenLoop(lambda t: np.zeros(7))).given_up(0.0, REST, STILL) is None
