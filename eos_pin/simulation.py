@@ -72,8 +72,8 @@ def simulate(
         q: Joints at the start, (n,).
         dq: Joint velocities at the start, at rest by default.
         duration: Length of the run [s].
-        method: Integrator of SciPy; by default LSODA, and DOP853 for tolerances below 1e-10. LSODA takes half of the time
-            and keeps the error near the tolerance, but not near rounding.
+        method: Integrator of SciPy; by default LSODA, which takes half of the time, and DOP853 for tolerances below
+            1e-10, which LSODA does not keep.
         rtol: Relative tolerance of the integrator.
         atol: Absolute tolerance; that of `rtol` by default.
         rate: Samples kept per second, besides the exact multiples of the reference's period.
@@ -117,8 +117,8 @@ def simulate_eos(
         dq: Joint velocities at the start, at rest by default.
         atlas: Charts whose coordinates are integrated.
         duration: Length of the run [s].
-        method: Integrator of SciPy; by default LSODA, and DOP853 for tolerances below 1e-10. LSODA takes half of the time
-            and keeps the error near the tolerance, but not near rounding.
+        method: Integrator of SciPy; by default LSODA, which takes half of the time, and DOP853 for tolerances below
+            1e-10, which LSODA does not keep.
         rtol: Relative tolerance of the integrator.
         atol: Absolute tolerance; that of `rtol` by default.
         rate: Samples kept per second, besides the exact multiples of the reference's period.
