@@ -47,7 +47,8 @@ _LIMITS = """## What the figures do not say
 - *Versions.* TSID is the last one that comes as a whole from PyPI, with the Pinocchio it was built with. The newer
   ones there are bindings whose library has to be built from source, against another Pinocchio than theirs.
 - *What is measured elsewhere.* `benchmarks/chains.py` (up to 1,000 joints), `benchmarks/sweep.py` (many runs on one
-  core and on two), `benchmarks/startup.py` (from process start to the first step).
+  core and on two), `benchmarks/startup.py` (from process start to the first step), `benchmarks/compiled.py` (what is
+  compiled beside its original).
 - *Memory and pauses.* The long loop runs in an ordinary Python process, and Python gives no guarantee of real time.
 """
 

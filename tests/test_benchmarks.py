@@ -13,12 +13,15 @@ import pytest
 
 sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
 
+import compiled
 import peers
 import run
 from crew import Crew, Worker, WorkerError, crew
 from performance_page import page
 from sections import Effort, Section, steps
 from setting import RIGHT, Setting, both
+
+from eos_pin.compiled import ORIGINALS, kernels
 
 TINY = Effort(rounds=1, repeats=1, targets=2, robots=("panda",), steps=50, duration=0.1, runs=1)
 
@@ -144,3 +147,13 @@ def test_the_page_is_honest_about_who_is_faster() -> None:
     text = page({}, [Section("Control step, pose", columns, rows)], [], {})
     assert "- control step, pose: TSID (torque) 0.5" in text
     assert "Pink (velocity)" not in text
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(kernels is None, reason="installed without a C compiler")
+def test_what_is_compiled_is_timed_beside_its_original(tmp_path: Path) -> None:
+    assert compiled.benchmark(rounds=1, json_file=tmp_path / "compiled.json") == 0
+    found = json.loads((tmp_path / "compiled.json").read_text())
+    for name in ORIGINALS:
+        assert any(row.startswith(name) for row in found["Formulas"])
+    assert {"step, position", "continuous run of 1 s, pose"} <= set(found["Whole"])

@@ -1,0 +1,190 @@
+"""What the compiled twins of formulas buy: each beside its original, and whole steps with and without them.
+
+    python benchmarks/compiled.py [--rounds N] [--json FILE]
+
+The robot is Panda. Times are CPU time of one thread, medians of rounds in which both take turns. That twins compute
+what their originals do is tested in tests/test_compiled.py.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from chains import cpu
+from rich.progress import track
+
+from eos_pin import (
+    Chart,
+    Controller,
+    ControlLoop,
+    EosController,
+    Hold,
+    LimitedEosController,
+    PoseTask,
+    PositionTask,
+    StackedTrajectory,
+    Task,
+    Trajectory,
+    figure_eight,
+    load_robot,
+    simulate,
+)
+from eos_pin.cli import run
+from eos_pin.compiled import ORIGINALS, kernels
+from eos_pin.report import console, grid, stderr, write_json
+
+TIP, REST = "panda_hand_tcp", np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
+#: A call, by what it does.
+Calls = Mapping[str, Callable[[], Any]]
+
+
+def problems() -> dict[str, tuple[Task, Trajectory]]:
+    """A position and a pose to follow."""
+    robot = load_robot("panda", chain_to=TIP)
+    position, pose = PositionTask(robot, TIP), PoseTask(robot, TIP)
+    path = figure_eight(position.value(REST), 0.1, period=4.0, plane="yz")
+    return {
+        "position": (position, path),
+        "pose": (pose, StackedTrajectory((path, Hold(pose.value(REST)[3:], 3)))),
+    }
+
+
+def twins() -> tuple[Calls, Calls]:
+    """Compiled formulas and their originals, on the same arguments."""
+    compiled: dict[str, Callable[[], Any]] = {}
+    plain: dict[str, Callable[[], Any]] = {}
+    dq, dq_last = 0.1 * REST, 0.1 * REST
+    for kind, (task, path) in problems().items():
+        controller = EosController(task, path)
+        memory = controller.start(0.0, REST, dq)
+        chart, point, target = memory.chart, task.at(REST, dq), path(0.1)
+        error = task.minus(target.z, point.z)
+        law = error, target.dz, target.ddz, point.J, point.drift, REST, dq, None
+        F = controller.asked(0.1, REST, dq, chart, point)
+        limited = LimitedEosController(task, path)
+        ddq = memory.drive(point.J, F, dq)[0]
+
+        def whole(F: Callable[[], np.ndarray], memory: Any = memory, point: Any = point) -> Any:
+            return memory.drive.readable(point.J, F(), dq)
+
+        asked = partial(controller.asked, 0.1, REST, dq, chart, point)
+        pairs: dict[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
+            "task at a state": (partial(task.at, REST, dq), partial(Task.at, task, REST, dq)),
+            "task and Jacobian": (partial(task.linearize, REST), partial(Task.linearize, task, REST)),
+            "tracking law and drive": (partial(memory.law, *law), partial(whole, asked)),
+            "drive": (partial(memory.drive, point.J, F, dq), partial(memory.drive.readable, point.J, F, dq)),
+            "limits, none active": (
+                partial(limited._within, REST, dq, ddq, point),
+                partial(limited.readable, REST, dq, ddq, point.J),
+            ),
+            "on_chart_inverse": _pair("on_chart_inverse", point.J, chart.U),
+            "newton_step": _pair("newton_step", REST, chart.U, error, chart.B_bar, error),
+        }
+        if kind == "pose":
+            pairs["pose_difference"] = _pair("pose_difference", target.z, point.z)
+        else:
+            pairs["usual"] = _pair("usual", 0.001, REST, dq, 0.0, REST + 1e-3, 0.04)
+            pairs["surely_within"] = _pair("surely_within", REST, np.full(7, 0.01))
+            pairs["largest"] = _pair("largest", error)
+            pairs["state_rate"] = _pair("state_rate", dq, dq_last, REST)
+            pairs["waves"] = _pair("waves", 0.1, path.waves.frequencies, path.waves._rows, 3, 6)  # type: ignore[attr-defined]
+        for name, (one, other) in pairs.items():
+            compiled[f"{name}, {kind}"], plain[f"{name}, {kind}"] = one, other
+    return compiled, plain
+
+
+def _pair(name: str, *arguments: Any) -> tuple[Callable[[], Any], Callable[[], Any]]:
+    return partial(getattr(kernels, name), *arguments), partial(ORIGINALS[name], *arguments)
+
+
+def whole() -> Calls:
+    """What a user calls."""
+    calls: dict[str, Callable[[], Any]] = {}
+    for kind, (task, path) in problems().items():
+        controllers: dict[str, Controller] = {
+            "step": EosController(task, path),
+            "step within limits": LimitedEosController(task, path),
+        }
+        for name, controller in controllers.items():
+            loop = ControlLoop(controller)
+            loop.step(0.0, REST, 0.0 * REST)
+            calls[f"{name}, {kind}"] = partial(loop.step, 0.1, REST, 0.1 * REST)
+        chart = Chart.at(task, REST)
+        z = chart.z_bar + np.r_[0.02, 0.05, -0.08, np.zeros(task.size - 3)]
+        calls[f"inverse kinematics from 0.1 m, {kind}"] = partial(chart.inverse, z, chart.v_bar)
+        calls[f"continuous run of 1 s, {kind}"] = partial(simulate, task.robot, controllers["step"], REST, duration=1.0)
+    return calls
+
+
+def serve() -> None:
+    """Time all of `whole` once for each line on stdin."""
+    calls = whole()
+    for _ in sys.stdin:
+        print(json.dumps({name: cpu(call) for name, call in calls.items()}), flush=True)
+
+
+def benchmark(*, rounds: int = 15, json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None) -> int:
+    """Time compiled formulas and what contains them, with and without.
+
+    Args:
+        rounds: Rounds over everything; the median counts.
+        json_file: File for all figures, machine-readable.
+    """
+    if kernels is None:
+        console.print("nothing is compiled here: install eos_pin where there is a C compiler", style="red")
+        return 1
+    tables = twins()
+    workers = [
+        subprocess.Popen(
+            [sys.executable, __file__, "serve"],
+            env=os.environ | {"EOS_PIN_COMPILED": switch},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for switch in "10"
+    ]
+    formulas: list[dict[str, list[float]]] = [{}, {}]
+    paths: list[dict[str, list[float]]] = [{}, {}]
+    for _ in track(range(rounds), description="compiled", console=stderr, transient=True):
+        for calls, times in zip(tables, formulas, strict=True):
+            for name, call in calls.items():
+                times.setdefault(name, []).append(cpu(call, 0.003))
+        for worker, times in zip(workers, paths, strict=True):
+            assert worker.stdin
+            assert worker.stdout
+            worker.stdin.write("\n")
+            worker.stdin.flush()
+            for name, seconds in json.loads(worker.stdout.readline()).items():
+                times.setdefault(name, []).append(seconds)
+    for worker in workers:
+        worker.communicate()
+    found = {}
+    for title, (compiled, plain) in {"Formulas": formulas, "Whole": paths}.items():
+        figures = {name: (1e6 * median(compiled[name]), 1e6 * median(plain[name])) for name in compiled}
+        rows = [(name, one, other, other / one) for name, (one, other) in figures.items()]
+        console.print(grid(f"{title}, µs", ("what", "compiled", "original", "ratio"), rows))
+        found[title] = figures
+    if json_file is not None:
+        write_json(json_file, found | {"rounds": rounds})
+    return 0
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["serve"]:
+        serve()
+    else:
+        sys.exit(run(benchmark))
