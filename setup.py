@@ -1,6 +1,6 @@
-"""Compiles `eos_pin/_kernels.pyx` where there is a C compiler; without one the package does the same, more slowly.
+"""Compiles the twins of formulas that run in every step, where there is a C compiler.
 
-All else about the package is in `pyproject.toml`.
+Without one the package does the same, more slowly. All else about the package is in `pyproject.toml`.
 """
 
 import numpy as np
@@ -9,11 +9,12 @@ from setuptools import Extension, setup
 setup(
     ext_modules=[
         Extension(
-            "eos_pin._kernels",
-            ["eos_pin/_kernels.pyx"],
+            f"eos_pin.{name}",
+            [f"eos_pin/{name}.pyx"],
             include_dirs=[np.get_include()],
             define_macros=[("NPY_NO_DEPRECATED_API", "NPY_2_0_API_VERSION")],
             optional=True,
         )
+        for name in ("_fast_control", "_fast_motion")
     ]
 )

@@ -4,7 +4,8 @@
 
 Each run starts in a random posture, often near a limit, and is sent to and fro along a random line that often leads
 out of reach. Counted are torques that are not finite or beyond their limits, joints beyond theirs, and how many tasks
-were given up in part, for how long and why. A few runs are repeated at shorter control periods: where the torque is
+were given up in part, for how long and why, and how many were not resumed although the target came back to where it
+was at the start. A few runs are repeated at shorter control periods: where the torque is
 continuous, the most it changes from one period to the next shrinks with the period.
 """
 
@@ -36,6 +37,9 @@ from eos_pin.report import console, grid, stderr, write_json
 
 #: Farther than this no joint may be beyond its limit [rad].
 OVER = 1e-6
+#: Time at which the target is back, and for which a run goes on [s]; farther off than this a task is not resumed
+#: [m, rad].
+BACK, DURATION, OFF = 1.5, 3.0, 1e-2
 #: Control periods of runs that are repeated [s].
 PERIODS = (1e-3, 5e-4, 2.5e-4)
 
@@ -52,9 +56,9 @@ def example(seed: int, period: float = 1e-3, *, rate: float = 200.0) -> Result:
     step = np.zeros(task.m)
     step[:3] = random.normal(size=3)
     step *= random.uniform(0.1, 1.0) / np.linalg.norm(step)
-    path = Geodesic(task, np.array([z, task.plus(z, step), z]), np.array([0.0, 0.75, 1.5]))
+    path = Geodesic(task, np.array([z, task.plus(z, step), z]), np.array([0.0, 0.5 * BACK, BACK]))
     controller = LimitedEosController(task, path, period=period)
-    return simulate_sampled(robot, controller, q, duration=2.0, period=period, rate=rate)
+    return simulate_sampled(robot, controller, q, duration=DURATION, period=period, rate=rate)
 
 
 def one(seed: int) -> dict[str, float | str]:
@@ -62,7 +66,7 @@ def one(seed: int) -> dict[str, float | str]:
     try:
         found = example(seed)
     except EosError as error:
-        return dict.fromkeys(("over", "torque", "speed", "given_up", "task", "limit"), 0.0) | {
+        return dict.fromkeys(("over", "torque", "speed", "given_up", "task", "limit", "off"), 0.0) | {
             "status": f"refused: {type(error).__name__}"
         }
     robot, met = found.load_plant(), found.singularities
@@ -74,6 +78,7 @@ def one(seed: int) -> dict[str, float | str]:
         "given_up": found.given_up_seconds,
         "task": met.get("task", {}).get("seconds", 0.0),
         "limit": met.get("limit", {}).get("seconds", 0.0),
+        "off": float(np.abs(found.error[-1]).max()),
     }
 
 
@@ -94,8 +99,10 @@ def main(*, count: int = 1000, repeated: int = 10, json: Path | None = None, job
     """
     parallel = Parallel(n_jobs=jobs, return_as="generator")
     found = list(track(parallel(delayed(one)(seed) for seed in range(count)), total=count, console=stderr))
-    keys = ("over", "torque", "speed", "given_up", "task", "limit")
-    over, torque, speed, lost, singular, limited = (np.array([row[key] for row in found], dtype=float) for key in keys)
+    keys = ("over", "torque", "speed", "given_up", "task", "limit", "off")
+    over, torque, speed, lost, singular, limited, off = (
+        np.array([row[key] for row in found], dtype=float) for key in keys
+    )
     figures: dict[str, float] = {
         "runs": count,
         "torques not finite or beyond a limit": int((torque > 1.0 + 1e-12).sum()),
@@ -106,6 +113,8 @@ def main(*, count: int = 1000, repeated: int = 10, json: Path | None = None, job
         "of these near a singularity of the task": int((singular > 0.0).sum()),
         "of these to keep limits": int((limited > 0.0).sum()),
         "seconds given up, mean of these": float(lost[lost > 0.0].mean()) if (lost > 0.0).any() else 0.0,
+        f"tasks more than {OFF:g} off {DURATION - BACK:g} s after the target is back": int((off > OFF).sum()),
+        "farthest off then, m or rad": float(off.max()),
     }
     for status in sorted({str(row["status"]) for row in found}):
         figures[f"ended {status!r}"] = sum(row["status"] == status for row in found)

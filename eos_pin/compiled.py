@@ -1,8 +1,9 @@
 """Compiled twins of the package's own formulas, where it was installed with a C compiler.
 
 A formula stands where it belongs, written to be read. Where it runs in every control step and NumPy's price for a call
-counts, it may have a twin in `_kernels.pyx`, which gives the same to rounding in a fraction of the time. Without a
-compiler, and with EOS_PIN_COMPILED=0 in the environment, the originals do everything.
+counts, it may have a twin in `_fast_control.pyx` or `_fast_motion.pyx`, which gives the same to rounding in a fraction
+of the time (`benchmarks/compiled.py`). Without a compiler, and with EOS_PIN_COMPILED=0 in the environment, the
+originals do everything.
 """
 
 from __future__ import annotations
@@ -11,12 +12,15 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
+from types import SimpleNamespace
 from typing import Any, TypeVar, cast
 
+#: The compiled functions and classes; None without.
 kernels: Any = None
 if os.environ.get("EOS_PIN_COMPILED") != "0":
     with suppress(ImportError):
-        kernels = import_module("eos_pin._kernels")
+        modules = [import_module(f"eos_pin.{name}") for name in ("_fast_control", "_fast_motion")]
+        kernels = SimpleNamespace(**{name: twin for module in modules for name, twin in vars(module).items()})
 
 Formula = TypeVar("Formula", bound=Callable[..., Any])
 

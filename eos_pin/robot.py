@@ -242,8 +242,7 @@ class Robot:
 
     def mass(self, q: JointVector) -> Float[Array, "n n"]:
         """Mass matrix M(q), symmetric; Eq. (5)."""
-        M = pin.crba(self.model, self._data, q, pin.Convention.WORLD)
-        return np.triu(M) + np.triu(M, 1).T
+        return pin.crba(self.model, self._data, q, pin.Convention.WORLD)
 
     def bias(self, q: JointVector, dq: JointVector) -> JointVector:
         """Coriolis, centrifugal and gravity torque C(q, dq) dq + g(q) = −R [N m or N]; R as in Eq. (24)."""

@@ -1,0 +1,191 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""Compiled twins for motion: tasks of frames, curves, Newton's method, and the rate of the state."""
+
+cimport numpy as cnp
+from libc.math cimport cos, fabs, sin
+from scipy.linalg.cython_lapack cimport dgetrf, dgetri
+
+from eos_pin._fast cimport data, dot, empty, entry, plain
+
+import numpy as np
+from pinocchio import (
+    LOCAL_WORLD_ALIGNED as WORLD,
+    computeJointJacobians,
+    forwardKinematics,
+    getFrameClassicalAcceleration,
+    getFrameJacobian,
+    log3,
+    updateFramePlacement,
+)
+
+cnp.import_array()
+
+
+cdef class Frame:
+    """`FrameTask.value`, `linearize` and `at`.
+
+    Args:
+        model, workspace: What Pinocchio computes with.
+        index: Number of the frame.
+        part: Which numbers of the flat pose are the task point.
+        rows: Which rows of velocities, accelerations and the Jacobian are the task's.
+        point_type: What `at` returns its tuple as.
+    """
+
+    cdef object model, workspace, index, rest, point_type
+    cdef tuple made_from
+    cdef cnp.ndarray translation, rotation
+    cdef Py_ssize_t part, part_step, size, row, row_step, m, n
+
+    def __init__(self, model, workspace, index, part, rows, point_type):
+        self.made_from = model, workspace, index, part, rows, point_type
+        self.model, self.workspace, self.index, self.point_type = model, workspace, index, point_type
+        self.n, self.rest = model.nv, np.zeros(model.nv)
+        # Both stay where they are, and change with every pass.
+        placement = workspace.oMf[index]
+        self.translation, self.rotation = placement.translation, placement.rotation
+        self.part, stop, self.part_step = part.indices(12)
+        self.size = len(range(self.part, stop, self.part_step))
+        self.row, stop, self.row_step = rows.indices(6)
+        self.m = len(range(self.row, stop, self.row_step))
+
+    def __reduce__(self):
+        return type(self), self.made_from
+
+    def value(self, q):
+        forwardKinematics(self.model, self.workspace, q)
+        return self.z()
+
+    def linearize(self, q):
+        computeJointJacobians(self.model, self.workspace, q)
+        return self.z(), self.J()
+
+    def at(self, q, dq):
+        cdef cnp.ndarray dz = empty(self.m), drift = empty(self.m), velocity, J, a
+        cdef Py_ssize_t i, j
+        forwardKinematics(self.model, self.workspace, q, dq, self.rest)
+        computeJointJacobians(self.model, self.workspace)
+        z, J = self.z(), self.J()
+        a = getFrameClassicalAcceleration(self.model, self.workspace, self.index, WORLD).vector
+        velocity = dq if plain(dq, self.n) else np.array(dq, dtype=float)
+        for i in range(self.m):
+            data(drift)[i] = data(a)[self.row + i * self.row_step]
+            data(dz)[i] = 0.0
+            for j in range(self.n):
+                data(dz)[i] += data(J)[i + self.m * j] * data(velocity)[j]
+        return tuple.__new__(self.point_type, (z, J, dz, drift))
+
+    cdef cnp.ndarray z(self):
+        cdef cnp.ndarray z = empty(self.size)
+        cdef Py_ssize_t i, k
+        updateFramePlacement(self.model, self.workspace, self.index)
+        for i in range(self.size):
+            k = self.part + i * self.part_step
+            data(z)[i] = data(self.translation)[k] if k < 3 else entry(self.rotation, k // 3 - 1, k % 3)
+        return z
+
+    cdef cnp.ndarray J(self):
+        cdef cnp.npy_intp[2] shape = [self.m, self.n]
+        cdef cnp.ndarray J = cnp.PyArray_EMPTY(2, shape, cnp.NPY_DOUBLE, 1)
+        cdef cnp.ndarray whole = getFrameJacobian(self.model, self.workspace, self.index, WORLD)
+        cdef Py_ssize_t i, j, k
+        for j in range(self.n):
+            for i in range(self.m):
+                k = self.row + i * self.row_step
+                # With one joint Pinocchio's bindings make a vector of what should be a column.
+                data(J)[i + self.m * j] = data(whole)[k] if self.n == 1 else entry(whole, k, j)
+        return J
+
+
+def pose_difference(cnp.ndarray z1, cnp.ndarray z0):
+    cdef cnp.npy_intp[2] shape = [3, 3]
+    cdef cnp.ndarray R = cnp.PyArray_EMPTY(2, shape, cnp.NPY_DOUBLE, 0), delta = empty(6), turn
+    cdef Py_ssize_t i, j
+    if not (plain(z1, 12) and plain(z0, 12)):
+        raise ValueError(f"two flat poses of 12 numbers are needed, got shapes {np.shape(z1)} and {np.shape(z0)}")
+    for i in range(3):
+        data(delta)[i] = data(z1)[i] - data(z0)[i]
+        for j in range(3):
+            data(R)[3 * i + j] = dot(data(z1) + 3 + 3 * i, data(z0) + 3 + 3 * j, 3)
+    turn = log3(R)
+    for i in range(3):
+        data(delta)[3 + i] = data(turn)[i]
+    return delta
+
+
+def waves(double t, cnp.ndarray frequencies, cnp.ndarray rows, Py_ssize_t first, Py_ssize_t second):
+    cdef Py_ssize_t terms = cnp.PyArray_DIM(frequencies, 0), width = cnp.PyArray_DIM(rows, 1), i, k
+    cdef cnp.ndarray z = empty(first), dz = empty(second - first), ddz = empty(width - second)
+    cdef double *row = data(rows) + 2 * terms * width
+    cdef double *out
+    cdef double s = 0.0, c = 1.0
+    for k in range(terms + 1):
+        for i in range(width):
+            out = data(z) + i if i < first else data(dz) + i - first if i < second else data(ddz) + i - second
+            out[0] = row[i] if k == 0 else out[0] + s * row[i] + c * row[width + i]
+        if k < terms:
+            s, c = sin(data(frequencies)[k] * t), cos(data(frequencies)[k] * t)
+            row = data(rows) + 2 * k * width
+    return z, dz, ddz
+
+
+def largest(x):
+    cdef double most = 0.0
+    cdef Py_ssize_t i
+    if not plain(x, len(x)):
+        return float(np.abs(x).max(initial=0.0))
+    for i in range(cnp.PyArray_DIM(x, 0)):
+        # NaN stays.
+        if not fabs(data(x)[i]) <= most:
+            most = fabs(data(x)[i])
+            if most != most:
+                break
+    return most
+
+
+def on_chart_inverse(cnp.ndarray J, cnp.ndarray U):
+    cdef int n = cnp.PyArray_DIM(U, 0), m = cnp.PyArray_DIM(U, 1), room = 16 * m, info = 0
+    cdef cnp.npy_intp[2] shape = [m, m]
+    cdef cnp.ndarray B = cnp.PyArray_EMPTY(2, shape, cnp.NPY_DOUBLE, 1), work = empty(room)
+    cdef cnp.ndarray swaps = cnp.PyArray_EMPTY(1, shape, cnp.NPY_INT, 0)
+    cdef int *pivots = <int*>cnp.PyArray_DATA(swaps)
+    cdef bint odd = False
+    cdef Py_ssize_t i, j, k
+    cdef double total
+    for i in range(m):
+        for j in range(m):
+            total = 0.0
+            for k in range(n):
+                total += entry(J, i, k) * entry(U, k, j)
+            data(B)[i + m * j] = total
+    dgetrf(&m, &m, data(B), &m, pivots, &info)
+    for i in range(m):
+        odd ^= (pivots[i] != i + 1) ^ (data(B)[i + m * i] < 0.0)
+    if info == 0:
+        dgetri(&m, data(B), &m, pivots, data(work), &room, &info)
+    return None if info or odd else B
+
+
+def newton_step(cnp.ndarray base, cnp.ndarray U, cnp.ndarray u, cnp.ndarray B, cnp.ndarray error):
+    cdef Py_ssize_t n = cnp.PyArray_DIM(U, 0), m = cnp.PyArray_DIM(U, 1), i, j
+    cdef cnp.ndarray u_next = empty(m), q = empty(n)
+    for i in range(m):
+        data(u_next)[i] = data(u)[i]
+        for j in range(m):
+            data(u_next)[i] += entry(B, i, j) * data(error)[j]
+    for i in range(n):
+        data(q)[i] = data(base)[i]
+        for j in range(m):
+            data(q)[i] -= entry(U, i, j) * data(u_next)[j]
+    return u_next, q
+
+
+def state_rate(cnp.ndarray dq, cnp.ndarray ddq, cnp.ndarray tau):
+    cdef Py_ssize_t n = cnp.PyArray_SIZE(dq), i
+    cdef cnp.ndarray dx = empty(2 * n + 1)
+    if not (plain(dq, n) and plain(ddq, n) and plain(tau, n)):
+        return np.concatenate((dq, ddq, [np.dot(tau, dq)]))
+    for i in range(n):
+        data(dx)[i], data(dx)[n + i] = data(dq)[i], data(ddq)[i]
+    data(dx)[2 * n] = dot(data(tau), data(dq), n)
+    return dx
