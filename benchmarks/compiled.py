@@ -72,7 +72,7 @@ def twins() -> tuple[Calls, Calls]:
         memory = controller.start(0.0, REST, dq)
         chart, point, target = memory.chart, task.at(REST, dq), path(0.1)
         error = task.minus(target.z, point.z)
-        law = error, target.dz, target.ddz, point.J, point.drift, REST, dq, None
+        law = target.z, point.z, target.dz, target.ddz, point.J, point.drift, REST, dq, None
         F = controller.asked(0.1, REST, dq, chart, point)
         limited = LimitedEosController(task, path)
         ddq = memory.drive(point.J, F, dq)[0]
@@ -100,7 +100,7 @@ def twins() -> tuple[Calls, Calls]:
             pairs["surely_within"] = _pair("surely_within", REST, np.full(7, 0.01))
             pairs["largest"] = _pair("largest", error)
             pairs["state_rate"] = _pair("state_rate", dq, dq_last, REST)
-            pairs["waves"] = _pair("waves", 0.1, path.waves.frequencies, path.waves._rows, 3, 6)  # type: ignore[attr-defined]
+            pairs["figure eight"] = partial(path, 0.1), partial(path.waves.readable, 0.1)  # type: ignore[attr-defined]
         for name, (one, other) in pairs.items():
             compiled[f"{name}, {kind}"], plain[f"{name}, {kind}"] = one, other
     return compiled, plain

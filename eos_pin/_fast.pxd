@@ -2,6 +2,12 @@
 
 cimport numpy as cnp
 
+cdef extern from *:
+    """
+    #define tuple_of(kind, arguments) PyTuple_Type.tp_new((PyTypeObject*)kind, arguments, NULL)
+    """
+    object tuple_of(object kind, object arguments)
+
 
 cdef inline double* data(cnp.ndarray x) noexcept:
     return <double*>cnp.PyArray_DATA(x)
@@ -44,3 +50,8 @@ cdef inline double dot(double* x, double* y, Py_ssize_t size) noexcept:
 cdef inline cnp.ndarray empty(Py_ssize_t size):
     cdef cnp.npy_intp shape = size
     return cnp.PyArray_EMPTY(1, &shape, cnp.NPY_DOUBLE, 0)
+
+
+cdef inline named(kind, tuple parts):
+    """A named tuple from its parts, without what its class does in Python."""
+    return tuple_of(kind, (parts,))

@@ -122,6 +122,7 @@ cdef class TrackingLaw(Drive):
         kp, kd: Gains of the task, (m,).
         kp_v, kd_v: Gains of the self-motion, (r,).
         v: Where Vᵀ q should be, (r,).
+        minus: Difference of two task points; None for a vector task.
     """
 
     cdef double *kp
@@ -129,10 +130,12 @@ cdef class TrackingLaw(Drive):
     cdef double *kp_v
     cdef double *kd_v
     cdef double *v
+    cdef object minus
 
-    def __init__(self, Vt, Qt, most, fast, kp, kd, kp_v, kd_v, v):
+    def __init__(self, Vt, Qt, most, fast, kp, kd, kp_v, kd_v, v, minus):
         super().__init__(Vt, Qt, most, fast)
-        self.made_from += kp, kd, kp_v, kd_v, v
+        self.made_from += kp, kd, kp_v, kd_v, v, minus
+        self.minus = minus
         vectors = tuple(np.array(given, dtype=float) for given in (kp, kd, kp_v, kd_v, v))
         self.kept += vectors
         self.kp, self.kd, self.kp_v, self.kd_v, self.v = (
@@ -141,7 +144,8 @@ cdef class TrackingLaw(Drive):
 
     def __call__(
         self,
-        cnp.ndarray error,
+        cnp.ndarray z_d,
+        cnp.ndarray z,
         cnp.ndarray dz_d,
         cnp.ndarray ddz_d,
         cnp.ndarray J,
@@ -153,16 +157,17 @@ cdef class TrackingLaw(Drive):
         """Acceleration and bound of the margin, as `Drive` has them.
 
         Args:
-            error: Task error z_d − z.
+            z_d, z: Where the task should be, and where it is.
             dz_d, ddz_d: What the task should do.
             J, drift: The task's Jacobian and its acceleration at ddq = 0.
             q, dq: State of the robot.
             more: What is asked of the self-motion beside this law, (r,), or None.
         """
         cdef Py_ssize_t n = self.n, m = self.m, r = n - m, i, j
-        cdef double dz
+        cdef double dz, e
+        cdef cnp.ndarray error = z_d if self.minus is None else self.minus(z_d, z)
         if not (
-            plain(error, m) and plain(dz_d, m) and plain(ddz_d, m) and table(J, m, n) and plain(drift, m)
+            plain(error, m) and (self.minus is not None or plain(z, m)) and plain(dz_d, m) and plain(ddz_d, m) and table(J, m, n) and plain(drift, m)
             and plain(q, n) and plain(dq, n) and (more is None or plain(more, r))
         ):
             return None
@@ -171,8 +176,9 @@ cdef class TrackingLaw(Drive):
             for j in range(n):
                 self.J[i * n + j] = entry(J, i, j)
                 dz += self.J[i * n + j] * data(dq)[j]
+            e = data(error)[i] - data(z)[i] if self.minus is None else data(error)[i]
             self.F[i] = (
-                self.kp[i] * data(error)[i] + self.kd[i] * (data(dz_d)[i] - dz) + (data(ddz_d)[i] - data(drift)[i])
+                self.kp[i] * e + self.kd[i] * (data(dz_d)[i] - dz) + (data(ddz_d)[i] - data(drift)[i])
             )
         for i in range(r):
             self.F[m + i] = (

@@ -5,7 +5,7 @@ cimport numpy as cnp
 from libc.math cimport cos, fabs, sin
 from scipy.linalg.cython_lapack cimport dgetrf, dgetri
 
-from eos_pin._fast cimport data, dot, empty, entry, plain
+from eos_pin._fast cimport data, dot, empty, entry, named, plain
 
 import numpy as np
 from pinocchio import (
@@ -73,7 +73,7 @@ cdef class Frame:
             data(dz)[i] = 0.0
             for j in range(self.n):
                 data(dz)[i] += data(J)[i + self.m * j] * data(velocity)[j]
-        return tuple.__new__(self.point_type, (z, J, dz, drift))
+        return named(self.point_type, (z, J, dz, drift))
 
     cdef cnp.ndarray z(self):
         cdef cnp.ndarray z = empty(self.size)
@@ -113,20 +113,44 @@ def pose_difference(cnp.ndarray z1, cnp.ndarray z0):
     return delta
 
 
-def waves(double t, cnp.ndarray frequencies, cnp.ndarray rows, Py_ssize_t first, Py_ssize_t second):
-    cdef Py_ssize_t terms = cnp.PyArray_DIM(frequencies, 0), width = cnp.PyArray_DIM(rows, 1), i, k
-    cdef cnp.ndarray z = empty(first), dz = empty(second - first), ddz = empty(width - second)
-    cdef double *row = data(rows) + 2 * terms * width
-    cdef double *out
-    cdef double s = 0.0, c = 1.0
-    for k in range(terms + 1):
-        for i in range(width):
-            out = data(z) + i if i < first else data(dz) + i - first if i < second else data(ddz) + i - second
-            out[0] = row[i] if k == 0 else out[0] + s * row[i] + c * row[width + i]
-        if k < terms:
-            s, c = sin(data(frequencies)[k] * t), cos(data(frequencies)[k] * t)
-            row = data(rows) + 2 * k * width
-    return z, dz, ddz
+cdef class Curve:
+    """`Waves`.
+
+    Args:
+        phase, frequencies, rows, first, second: As the function `waves` takes them, and the phase.
+        target: What `Waves` returns its tuple as.
+    """
+
+    cdef tuple made_from
+    cdef cnp.ndarray frequencies, rows
+    cdef object target
+    cdef double phase
+    cdef Py_ssize_t terms, first, second, width
+
+    def __init__(self, phase, frequencies, rows, first, second, target):
+        self.made_from = phase, frequencies, rows, first, second, target
+        self.frequencies, self.rows = (np.array(given, dtype=float, order="C") for given in (frequencies, rows))
+        self.phase, self.first, self.second, self.target = phase, first, second, target
+        self.terms, self.width = len(frequencies), rows.shape[1]
+
+    def __reduce__(self):
+        return type(self), self.made_from
+
+    def __call__(self, double t):
+        cdef Py_ssize_t first = self.first, second = self.second, i, k
+        cdef cnp.ndarray z = empty(first), dz = empty(second - first), ddz = empty(self.width - second)
+        cdef double *row = data(self.rows) + 2 * self.terms * self.width
+        cdef double *out
+        cdef double s = 0.0, c = 1.0, angle
+        t += self.phase
+        for k in range(self.terms + 1):
+            for i in range(self.width):
+                out = data(z) + i if i < first else data(dz) + i - first if i < second else data(ddz) + i - second
+                out[0] = row[i] if k == 0 else out[0] + s * row[i] + c * row[self.width + i]
+            if k < self.terms:
+                angle = data(self.frequencies)[k] * t
+                s, c, row = sin(angle), cos(angle), data(self.rows) + 2 * k * self.width
+        return named(self.target, (z, dz, ddz))
 
 
 def largest(x):

@@ -248,7 +248,7 @@ class EosController(TaskController):
     def _drive(
         self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint
     ) -> tuple[JointVector, float]:
-        """H F* + E and a bound of the chart's margin; near a singularity of the task what `Chart.drive` makes of it."""
+        """H F* + E and a bound of the chart's margin; near a singularity of the task what `Drive` makes of it."""
         more = None
         if memory.carried is not None and t - memory.since < LONG_AGO:
             rate = max(FORGETTING, PER_SPEED * math.sqrt(dq.dot(dq)))
@@ -257,8 +257,7 @@ class EosController(TaskController):
             z_d, dz_d, ddz_d = self.reference(t)
             if not self.feedforward:
                 dz_d = ddz_d = self._rest
-            error = self.task.minus(z_d, point.z)
-            driven = memory.law(error, dz_d, ddz_d, point.J, point.drift, q, dq, more)
+            driven = memory.law(z_d, point.z, dz_d, ddz_d, point.J, point.drift, q, dq, more)
             if driven is not None:
                 return driven
         F = self.asked(t, q, dq, memory.chart, point)

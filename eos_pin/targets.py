@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -30,10 +29,6 @@ class Target(NamedTuple):
     z: Point
     dz: TaskVector
     ddz: TaskVector
-
-
-#: A target from a tuple of its parts, in half the time that `Target(…)` takes.
-as_target = partial(tuple.__new__, Target)
 
 
 class Trajectory(ABC):

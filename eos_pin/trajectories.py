@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eos_pin.arrays import Array, Vector, VectorLike, number, readonly, vector
-from eos_pin.compiled import twin
+from eos_pin.arrays import Array, VectorLike, number, readonly, vector
+from eos_pin.compiled import kernels
 from eos_pin.errors import InputError
-from eos_pin.targets import Hold, Target, Trajectory, as_target
+from eos_pin.targets import Hold, Target, Trajectory
 from eos_pin.tasks import Point, Task
 
 
@@ -67,7 +67,7 @@ class Harmonic(Trajectory):
         )
 
     def __call__(self, t: float) -> Target:
-        return self.waves(t)
+        return self.waves.at(t)
 
 
 class Waves:
@@ -86,26 +86,15 @@ class Waves:
         self._rows = np.hstack(self.blocks)
         self._cuts = z.shape[1], z.shape[1] + dz.shape[1]
 
-    def __call__(self, t: float) -> Target:
-        return as_target(waves(t + self.phase, self.frequencies, self._rows, *self._cuts))
+        self.at: Callable[[float], Target] = self.readable
+        if kernels:
+            self.at = kernels.Curve(phase, self.frequencies, self._rows, *self._cuts, Target)
 
-
-@twin
-def waves(
-    t: float, frequencies: Vector, rows: Float[Array, "K l"], first: int, second: int
-) -> tuple[Array, Array, Array]:
-    """(sin ω₁t, cos ω₁t, sin ω₂t, …, 1) times a matrix, its columns in three parts.
-
-    Args:
-        t: Time.
-        frequencies: The ω.
-        rows: The matrix, its rows side by side in memory.
-        first: Where the second part begins.
-        second: Where the third does.
-    """
-    angles = (frequencies * t).tolist()
-    together = np.dot([wave for angle in angles for wave in (math.sin(angle), math.cos(angle))] + [1.0], rows)
-    return together[:first], together[first:second], together[second:]
+    def readable(self, t: float) -> Target:
+        """Target at time t; what is compiled does the same."""
+        angles = (self.frequencies * (t + self.phase)).tolist()
+        together = np.dot([wave for angle in angles for wave in (math.sin(angle), math.cos(angle))] + [1.0], self._rows)
+        return Target(*np.split(together, self._cuts))
 
 
 def line(center: VectorLike, stroke: VectorLike, *, period: float) -> Harmonic:
@@ -314,7 +303,7 @@ class StackedTrajectory(Trajectory):
 
     def __call__(self, t: float) -> Target:
         if self._waves is not None:
-            return self._waves(t)
+            return self._waves.at(t)
         z, dz, ddz = zip(*(part(t) for part in self.parts), strict=True)
         return Target(np.concatenate(z), np.concatenate(dz), np.concatenate(ddz))
 

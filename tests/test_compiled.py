@@ -20,7 +20,6 @@ from eos_pin import (
     Chart,
     ControlLoop,
     EosController,
-    Harmonic,
     Hold,
     OrientationTask,
     PoseTask,
@@ -30,7 +29,9 @@ from eos_pin import (
 )
 from eos_pin.compiled import ORIGINALS, kernels
 from eos_pin.driving import Drive
+from eos_pin.targets import Target
 from eos_pin.tasks import Task
+from eos_pin.trajectories import Waves
 
 pytestmark = pytest.mark.skipif(
     kernels is None and "EOS_PIN_NEEDS_COMPILER" not in os.environ, reason="installed without a C compiler"
@@ -52,9 +53,9 @@ def both(name, *arguments):
 
 
 def test_where_there_is_a_compiler_there_are_twins():
-    assert ControlLoop, (Harmonic, TaskForce)  # their modules have twins, too, and have been imported
+    assert ControlLoop, TaskForce  # their modules have twins, too, and have been imported
     assert kernels is not None
-    assert len(ORIGINALS) == 8
+    assert len(ORIGINALS) == 7
     assert all(hasattr(kernels, name) for name in ORIGINALS)
 
 
@@ -92,11 +93,13 @@ def test_the_watch_of_torques(data):
 
 @given(data=st.data())
 def test_waves(data):
-    terms, first, second, third = (data.draw(st.integers(*range_)) for range_ in ((0, 4), (1, 12), (1, 6), (1, 6)))
-    rows = data.draw(arrays(float, (2 * terms + 1, first + second + third), elements=floats))
-    frequencies = data.draw(vectors(terms))
-    for twin, original in zip(*both("waves", data.draw(floats), frequencies, rows, first, first + second), strict=True):
-        np.testing.assert_allclose(twin, original, rtol=0.0, atol=EXACT * 100)
+    terms, size, m = (data.draw(st.integers(*range_)) for range_ in ((0, 4), (1, 12), (1, 6)))
+    blocks = [data.draw(arrays(float, (2 * terms + 1, width), elements=floats)) for width in (size, m, m)]
+    curve, t = Waves(data.draw(floats), data.draw(vectors(terms)), *blocks), data.draw(floats)
+    for found in (curve.at(t), pickle.loads(pickle.dumps(curve.at))(t)):
+        assert type(found) is Target
+        for twin, original in zip(found, curve.readable(t), strict=True):
+            np.testing.assert_allclose(twin, original, rtol=0.0, atol=EXACT * 100)
 
 
 @given(turns=arrays(float, (2, 3), elements=st.floats(-4.0, 4.0)), places=arrays(float, (2, 3), elements=floats))
@@ -186,7 +189,7 @@ def test_the_tracking_law(task, feedforward, carried, data):
     point, more = task.at(q, dq), random.uniform(-1.0, 1.0, r) if carried else None
     law = pickle.loads(pickle.dumps(memory.law))
     z_d, dz_d, ddz_d = target(0.0)
-    twin = law(task.minus(z_d, point.z), dz_d, ddz_d, point.J, point.drift, q, dq, more)
+    twin = law(z_d, point.z, dz_d, ddz_d, point.J, point.drift, q, dq, more)
     F = controller.asked(0.0, q, dq, memory.chart, point)
     if carried:
         F[task.m :] += more
