@@ -22,6 +22,7 @@ from statistics import median
 from typing import Annotated, Any
 
 import numpy as np
+import pinocchio as pin
 import tyro
 from chains import cpu
 from rich.progress import track
@@ -94,6 +95,7 @@ def twins() -> tuple[Calls, Calls]:
             "newton_step": _pair("newton_step", REST, chart.U, error, chart.B_bar, error),
         }
         if kind == "pose":
+            pairs["flat_pose"] = _pair("flat_pose", pin.SE3.Random().homogeneous)
             pairs["pose_difference"] = _pair("pose_difference", target.z, point.z)
         else:
             pairs["usual"] = _pair("usual", 0.001, REST, dq, 0.0, REST + 1e-3, 0.04)

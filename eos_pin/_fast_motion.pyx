@@ -2,10 +2,10 @@
 """Compiled twins for motion: tasks of frames, curves, Newton's method, and the rate of the state."""
 
 cimport numpy as cnp
-from libc.math cimport cos, fabs, sin
+from libc.math cimport cos, fabs, isfinite, sin
 from scipy.linalg.cython_lapack cimport dgetrf, dgetri
 
-from eos_pin._fast cimport data, dot, empty, entry, named, plain
+from eos_pin._fast cimport data, dot, empty, entry, named, plain, table
 
 import numpy as np
 from pinocchio import (
@@ -95,6 +95,33 @@ cdef class Frame:
                 # With one joint Pinocchio's bindings make a vector of what should be a column.
                 data(J)[i + self.m * j] = data(whole)[k] if self.n == 1 else entry(whole, k, j)
         return J
+
+
+def flat_pose(cnp.ndarray array):
+    cdef cnp.ndarray z = empty(12)
+    cdef double *R = data(z) + 3
+    cdef double size = 0.0, off = 0.0, product
+    cdef Py_ssize_t i, j
+    if plain(array, 12):
+        for i in range(12):
+            data(z)[i] = data(array)[i]
+    elif table(array, 4, 4) and entry(array, 3, 3) == 1.0 and not (
+        entry(array, 3, 0) or entry(array, 3, 1) or entry(array, 3, 2)
+    ):
+        for i in range(3):
+            data(z)[i] = entry(array, i, 3)
+            for j in range(3):
+                R[3 * i + j] = entry(array, i, j)
+    else:
+        return None
+    for i in range(3):
+        for j in range(3):
+            product = R[i] * R[j] + R[3 + i] * R[3 + j] + R[6 + i] * R[6 + j]
+            off = max(off, fabs(product - (i == j)))
+    product = (
+        R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6])
+    )
+    return z if isfinite(dot(data(z), data(z), 12)) and off <= 1e-14 and product > 0.0 else None
 
 
 def pose_difference(cnp.ndarray z1, cnp.ndarray z0):

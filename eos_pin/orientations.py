@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from eos_pin.arrays import Jacobian, TaskVector, Vector, numbers, readonly, vector
+from eos_pin.arrays import Array, Jacobian, TaskVector, Vector, numbers, readonly, vector
 from eos_pin.compiled import twin
 from eos_pin.errors import InputError
 from eos_pin.frames import FLAT, FrameTask
@@ -15,6 +15,8 @@ from eos_pin.robot import Robot
 from eos_pin.tasks import WORLD, Point, PointLike, Task
 
 _IDENTITY = readonly(np.eye(3))
+#: How far RᵀR may be from 1 in a rotation that is taken as it is.
+ORTHONORMAL = 1e-14
 
 
 class OrientationTask(FrameTask, kind="orientation"):
@@ -80,8 +82,13 @@ class PoseTask(FrameTask, kind="pose"):
         return 1.0 - math.sqrt(delta[3:].dot(delta[3:])) / math.pi
 
     def point(self, value: PointLike) -> Point:
+        array = numbers(value.homogeneous if isinstance(value, pin.SE3) else value, "a pose")
+        z = flat_pose(array)
+        return self._checked(array) if z is None else z
+
+    def _checked(self, array: Array) -> Point:
+        """Flat pose from one that has to be looked at more closely."""
         name = f"a point of {self!r}"
-        array = numbers(value.homogeneous if isinstance(value, pin.SE3) else value, name)
         if array.shape == (4, 4):
             if array[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
                 raise InputError(f"the last row of {name} must be 0, 0, 0, 1, got {array[3].tolist()}")
@@ -133,6 +140,18 @@ def pose_difference(z1: Point, z0: Point) -> TaskVector:
     return delta
 
 
+@twin
+def flat_pose(array: Array) -> Point | None:
+    """Flat pose from one or from a homogeneous matrix; None if it is not right to rounding."""
+    if array.shape == (4, 4) and array[3].tolist() == [0.0, 0.0, 0.0, 1.0]:
+        array = array.ravel()[FLAT]
+    if array.shape != (12,) or not math.isfinite(array.dot(array)):
+        return None
+    R = array[3:].reshape(3, 3)
+    straight = np.abs(R.T.dot(R) - _IDENTITY).max() <= ORTHONORMAL and np.linalg.det(R) > 0.0
+    return array.copy() if straight else None
+
+
 def _rotation(value: PointLike, name: str) -> Vector:
     """Flat rotation matrix from what a person writes.
 
@@ -155,7 +174,7 @@ def _straight(flat: Vector, name: str) -> Vector:
     largest = max(map(abs, E.ravel().tolist()))
     if largest > 1e-6 or determinant < 0.0:
         raise InputError(f"the rotation of {name} must be a 3 × 3 matrix with orthonormal columns and determinant 1")
-    if largest > 1e-14:
+    if largest > ORTHONORMAL:
         # R (RᵀR)^(−1/2), the nearest rotation, by its series to order E².
         R = R - R.dot(0.5 * E - 0.375 * E.dot(E))
     return R.ravel()

@@ -55,7 +55,7 @@ def both(name, *arguments):
 def test_where_there_is_a_compiler_there_are_twins():
     assert ControlLoop, TaskForce  # their modules have twins, too, and have been imported
     assert kernels is not None
-    assert len(ORIGINALS) == 7
+    assert len(ORIGINALS) == 8
     assert all(hasattr(kernels, name) for name in ORIGINALS)
 
 
@@ -112,6 +112,26 @@ def test_pose_difference(turns, places):
     np.testing.assert_allclose(R, S, atol=1e-7)
     with pytest.raises(ValueError, match="12 numbers"):
         kernels.pose_difference(poses[0], np.zeros(3))
+
+
+@given(turn=vectors(3), place=vectors(3), odd=st.sampled_from([0.0, 1e-15, 1e-9, 1.0, np.nan, np.inf]), where=st.data())
+def test_flat_pose(turn, place, odd, where):
+    matrix = pin.SE3(pin.exp3(turn), place).homogeneous
+    flat = np.concatenate((place, matrix[:3, :3].ravel()))
+    # Whether what is right to rounding counts as such is a matter of rounding.
+    for twin, original in (both("flat_pose", matrix), both("flat_pose", flat)):
+        for found in (twin, original):
+            assert found is None or np.array_equal(found, flat)
+    np.testing.assert_array_equal(kernels.flat_pose(np.eye(4)), ORIGINALS["flat_pose"](np.eye(4)))
+    for wrong in (
+        flat[:11],
+        matrix[:3],
+        -matrix,
+        np.diag([1.0, 1.0, -1.0, 1.0]),
+        np.eye(4) + odd * np.eye(4)[[3, 0, 1, 2]],
+    ):
+        twin, original = both("flat_pose", wrong)
+        assert (twin is None) == (original is None)
 
 
 @given(data=st.data())
