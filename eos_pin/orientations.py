@@ -82,7 +82,7 @@ class PoseTask(FrameTask, kind="pose"):
         return 1.0 - math.sqrt(delta[3:].dot(delta[3:])) / math.pi
 
     def point(self, value: PointLike) -> Point:
-        array = numbers(value.homogeneous if isinstance(value, pin.SE3) else value, "a pose")
+        array = numbers(value.homogeneous if isinstance(value, pin.SE3) else value, "a point of a PoseTask")
         z = flat_pose(array)
         return self._checked(array) if z is None else z
 

@@ -114,8 +114,8 @@ def test_pose_difference(turns, places):
         kernels.pose_difference(poses[0], np.zeros(3))
 
 
-@given(turn=vectors(3), place=vectors(3), odd=st.sampled_from([0.0, 1e-15, 1e-9, 1.0, np.nan, np.inf]), where=st.data())
-def test_flat_pose(turn, place, odd, where):
+@given(turn=vectors(3), place=vectors(3), odd=st.sampled_from([0.0, 1e-9, 1.0, np.nan, np.inf]))
+def test_flat_pose(turn, place, odd):
     matrix = pin.SE3(pin.exp3(turn), place).homogeneous
     flat = np.concatenate((place, matrix[:3, :3].ravel()))
     # Whether what is right to rounding counts as such is a matter of rounding.
@@ -123,13 +123,9 @@ def test_flat_pose(turn, place, odd, where):
         for found in (twin, original):
             assert found is None or np.array_equal(found, flat)
     np.testing.assert_array_equal(kernels.flat_pose(np.eye(4)), ORIGINALS["flat_pose"](np.eye(4)))
-    for wrong in (
-        flat[:11],
-        matrix[:3],
-        -matrix,
-        np.diag([1.0, 1.0, -1.0, 1.0]),
-        np.eye(4) + odd * np.eye(4)[[3, 0, 1, 2]],
-    ):
+    disturbed = np.eye(4)
+    disturbed[[0, 3], [1, 2]] += odd
+    for wrong in (flat[:11], matrix[:3], -matrix, np.diag([1.0, 1.0, -1.0, 1.0]), disturbed):
         twin, original = both("flat_pose", wrong)
         assert (twin is None) == (original is None)
 
