@@ -34,7 +34,9 @@ _LIMITS = """## What the figures do not say
 - *What the others do not do.* None has coordinates for the self-motion. A posture task pulls the joints towards one
   posture; it sets no self-motion to follow, and none of its errors decays at a rate one has designed.
 - *Languages.* TSID, PlaCo, Drake and the Robotics Toolbox compute in C++ and are called from Python, as most of their
-  users do; eos_pin, Pink and mink are Python around C++. Called from C++ the former are faster than here.
+  users do; eos_pin is Python around C++ with its everyday sums compiled, Pink and mink are Python around C++. Called
+  from C++ the first are faster than here. Without a C compiler at installation eos_pin's step takes three to four times
+  as long (`benchmarks/compiled.py`).
 - *What is the same.* In the state that is timed TSID's torque is that of EOS control, also with an active limit. PlaCo
   adds a small regularization. Traditional control has another law for the null space, so its torque differs where the
   motion of the task does not. eos_pin evaluates its path in every step; the peers are handed the target.

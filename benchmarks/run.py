@@ -33,6 +33,7 @@ from sections import QUICK, Effort, Section, inverse, long_loop, random_targets,
 from setting import both
 
 from eos_pin.cli import run
+from eos_pin.compiled import kernels
 from eos_pin.errors import InputError
 from eos_pin.report import console, grid, stderr, write_json
 
@@ -48,6 +49,7 @@ def machine(team: Crew) -> dict[str, str]:
         processor = platform.processor() or platform.machine()
     found = {"processor": processor, "cores": str(os.cpu_count()), "system": platform.system()}
     found["Python"] = platform.python_version()
+    found["eos_pin"] = "compiled" if kernels else "not compiled"
     return found | {name: version(name) for name in ("pin", "numpy", "scipy", "daqp")} | team.versions
 
 
