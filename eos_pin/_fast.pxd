@@ -2,6 +2,8 @@
 
 cimport numpy as cnp
 
+import numpy as np
+
 cdef extern from *:
     """
     #define tuple_of(kind, arguments) PyTuple_Type.tp_new((PyTypeObject*)kind, arguments, NULL)
@@ -25,6 +27,16 @@ cdef inline bint plain(x, Py_ssize_t size) noexcept:
     )
 
 
+cdef inline cnp.ndarray as_plain(x, Py_ssize_t size):
+    """x, or a float copy whose numbers lie side by side."""
+    if plain(x, size):
+        return x
+    copy = np.ascontiguousarray(x, dtype=float)
+    if copy.shape != (size,):
+        raise ValueError(f"a vector of {size} numbers is needed, got shape {copy.shape}")
+    return copy
+
+
 cdef inline bint table(cnp.ndarray x, Py_ssize_t rows, Py_ssize_t columns) noexcept:
     """Whether x is a float array of this shape."""
     return (
@@ -33,6 +45,16 @@ cdef inline bint table(cnp.ndarray x, Py_ssize_t rows, Py_ssize_t columns) noexc
         and cnp.PyArray_DIM(x, 0) == rows
         and cnp.PyArray_DIM(x, 1) == columns
     )
+
+
+cdef inline cnp.ndarray as_table(x, Py_ssize_t rows, Py_ssize_t columns):
+    """x, or a copy of floats."""
+    if isinstance(x, cnp.ndarray) and table(x, rows, columns):
+        return x
+    copy = np.array(x, dtype=float)
+    if copy.shape != (rows, columns):
+        raise ValueError(f"a matrix of {rows} x {columns} numbers is needed, got shape {copy.shape}")
+    return copy
 
 
 cdef inline double entry(cnp.ndarray x, Py_ssize_t i, Py_ssize_t j) noexcept:

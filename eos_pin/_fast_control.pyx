@@ -61,7 +61,7 @@ cdef class Drive:
     def __reduce__(self):
         return type(self), self.made_from
 
-    def __call__(self, cnp.ndarray J, cnp.ndarray F, cnp.ndarray dq):
+    def __call__(self, cnp.ndarray J not None, F, dq):
         """Acceleration and bound of the margin; arguments as in `Drive` of `eos_pin.driving`."""
         if not (table(J, self.m, self.n) and plain(F, self.n) and plain(dq, self.n)):
             return None
@@ -148,7 +148,7 @@ cdef class TrackingLaw(Drive):
         cnp.ndarray z,
         cnp.ndarray dz_d,
         cnp.ndarray ddz_d,
-        cnp.ndarray J,
+        cnp.ndarray J not None,
         cnp.ndarray drift,
         cnp.ndarray q,
         cnp.ndarray dq,

@@ -5,7 +5,7 @@ cimport numpy as cnp
 from libc.math cimport cos, fabs, isfinite, sin
 from scipy.linalg.cython_lapack cimport dgetrf, dgetri
 
-from eos_pin._fast cimport data, dot, empty, entry, named, plain, table
+from eos_pin._fast cimport as_plain, as_table, data, dot, empty, entry, named, plain, table
 
 import numpy as np
 from pinocchio import (
@@ -97,7 +97,7 @@ cdef class Frame:
         return J
 
 
-def flat_pose(cnp.ndarray array):
+def flat_pose(cnp.ndarray array not None):
     cdef cnp.ndarray z = empty(12)
     cdef double *R = data(z) + 3
     cdef double size = 0.0, off = 0.0, product
@@ -124,16 +124,15 @@ def flat_pose(cnp.ndarray array):
     return z if isfinite(dot(data(z), data(z), 12)) and off <= 1e-14 and product > 0.0 else None
 
 
-def pose_difference(cnp.ndarray z1, cnp.ndarray z0):
+def pose_difference(z1, z0):
     cdef cnp.npy_intp[2] shape = [3, 3]
     cdef cnp.ndarray R = cnp.PyArray_EMPTY(2, shape, cnp.NPY_DOUBLE, 0), delta = empty(6), turn
+    cdef cnp.ndarray one = as_plain(z1, 12), other = as_plain(z0, 12)
     cdef Py_ssize_t i, j
-    if not (plain(z1, 12) and plain(z0, 12)):
-        raise ValueError(f"two flat poses of 12 numbers are needed, got shapes {np.shape(z1)} and {np.shape(z0)}")
     for i in range(3):
-        data(delta)[i] = data(z1)[i] - data(z0)[i]
+        data(delta)[i] = data(one)[i] - data(other)[i]
         for j in range(3):
-            data(R)[3 * i + j] = dot(data(z1) + 3 + 3 * i, data(z0) + 3 + 3 * j, 3)
+            data(R)[3 * i + j] = dot(data(one) + 3 + 3 * i, data(other) + 3 + 3 * j, 3)
     turn = log3(R)
     for i in range(3):
         data(delta)[3 + i] = data(turn)[i]
@@ -194,8 +193,9 @@ def largest(x):
     return most
 
 
-def on_chart_inverse(cnp.ndarray J, cnp.ndarray U):
+def on_chart_inverse(jacobian, cnp.ndarray U):
     cdef int n = cnp.PyArray_DIM(U, 0), m = cnp.PyArray_DIM(U, 1), room = 16 * m, info = 0
+    cdef cnp.ndarray J = as_table(jacobian, m, n)
     cdef cnp.npy_intp[2] shape = [m, m]
     cdef cnp.ndarray B = cnp.PyArray_EMPTY(2, shape, cnp.NPY_DOUBLE, 1), work = empty(room)
     cdef cnp.ndarray swaps = cnp.PyArray_EMPTY(1, shape, cnp.NPY_INT, 0)
@@ -217,15 +217,17 @@ def on_chart_inverse(cnp.ndarray J, cnp.ndarray U):
     return None if info or odd else B
 
 
-def newton_step(cnp.ndarray base, cnp.ndarray U, cnp.ndarray u, cnp.ndarray B, cnp.ndarray error):
+def newton_step(base, cnp.ndarray U, u, B, error):
     cdef Py_ssize_t n = cnp.PyArray_DIM(U, 0), m = cnp.PyArray_DIM(U, 1), i, j
     cdef cnp.ndarray u_next = empty(m), q = empty(n)
+    cdef cnp.ndarray start = as_plain(base, n), last = as_plain(u, m), inverse = as_table(B, m, m)
+    cdef cnp.ndarray left = as_plain(error, m)
     for i in range(m):
-        data(u_next)[i] = data(u)[i]
+        data(u_next)[i] = data(last)[i]
         for j in range(m):
-            data(u_next)[i] += entry(B, i, j) * data(error)[j]
+            data(u_next)[i] += entry(inverse, i, j) * data(left)[j]
     for i in range(n):
-        data(q)[i] = data(base)[i]
+        data(q)[i] = data(start)[i]
         for j in range(m):
             data(q)[i] -= entry(U, i, j) * data(u_next)[j]
     return u_next, q

@@ -110,7 +110,7 @@ def test_pose_difference(turns, places):
     R, S = (pin.exp3(delta[3:]) for delta in (twin, original))
     np.testing.assert_array_equal(twin[:3], original[:3])
     np.testing.assert_allclose(R, S, atol=1e-7)
-    with pytest.raises(ValueError, match="12 numbers"):
+    with pytest.raises(ValueError, match="a vector of 12 numbers"):
         kernels.pose_difference(poses[0], np.zeros(3))
 
 
@@ -146,6 +146,27 @@ def test_the_parts_of_newtons_method(data):
         for twin, plain in zip(*both("newton_step", base, U, u, original, error), strict=True):
             np.testing.assert_allclose(twin, plain, rtol=0.0, atol=EXACT * (1.0 + np.abs(original).max()) * 1e4)
     assert kernels.on_chart_inverse(0.0 * J, U) is None
+
+
+def test_arrays_of_another_kind_are_taken_or_refused():
+    """A task of one's own may return what it likes."""
+    J, U, base = np.ones((2, 3)) + np.eye(2, 3), np.eye(3, 2), np.arange(3.0)
+    B, error = np.eye(2), np.array([1.0, 2.0])
+    expected = kernels.newton_step(base, U, error, B, error)
+    for kind in (np.float32, int, np.longdouble):
+        found = kernels.newton_step(base.astype(kind), U, error.astype(kind), B.astype(kind), error.astype(kind))
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(one, other)
+        np.testing.assert_allclose(kernels.on_chart_inverse(J.astype(kind), U), kernels.on_chart_inverse(J, U))
+        assert kernels.largest(error.astype(kind)) == 2.0
+    for one, other in zip(
+        kernels.newton_step(base[::-1][::-1], U, error, B, np.repeat(error, 2)[::2]), expected, strict=True
+    ):
+        np.testing.assert_allclose(one, other)
+    with pytest.raises(ValueError, match="a vector of 2 numbers"):
+        kernels.newton_step(base, U, error, B, np.ones(3))
+    with pytest.raises(ValueError, match="a matrix of 2 x 3 numbers"):
+        kernels.on_chart_inverse(J.T, U)
 
 
 @given(data=st.data())
