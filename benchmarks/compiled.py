@@ -45,6 +45,7 @@ from eos_pin import (
 )
 from eos_pin.cli import run
 from eos_pin.compiled import ORIGINALS, kernels
+from eos_pin.controllers import EosMemory
 from eos_pin.report import console, grid, stderr, write_json
 
 TIP, REST = "panda_hand_tcp", np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
@@ -73,22 +74,22 @@ def twins() -> tuple[Calls, Calls]:
         memory = controller.start(0.0, REST, dq)
         chart, point, target = memory.chart, task.at(REST, dq), path(0.1)
         error = task.minus(target.z, point.z)
-        law = target.z, point.z, target.dz, target.ddz, point.J, point.drift, REST, dq, None
+        law = REST, dq, *target, None
         F = controller.asked(0.1, REST, dq, chart, point)
         limited = LimitedEosController(task, path)
         ddq = memory.drive(point.J, F, dq)[0]
 
-        def whole(F: Callable[[], np.ndarray], memory: Any = memory, point: Any = point) -> Any:
-            return memory.drive.readable(point.J, F(), dq)
+        def law_in_full(controller: EosController = controller, memory: EosMemory = memory) -> Any:
+            point = Task.at(controller.task, REST, dq)
+            return memory.drive.readable(point.J, controller.asked(0.1, REST, dq, memory.chart, point), dq)
 
-        asked = partial(controller.asked, 0.1, REST, dq, chart, point)
         pairs: dict[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
             "task at a state": (partial(task.at, REST, dq), partial(Task.at, task, REST, dq)),
             "task and Jacobian": (partial(task.linearize, REST), partial(Task.linearize, task, REST)),
-            "tracking law and drive": (partial(memory.law, *law), partial(whole, asked)),
+            "task, tracking law and drive": (partial(memory.law, *law), law_in_full),
             "drive": (partial(memory.drive, point.J, F, dq), partial(memory.drive.readable, point.J, F, dq)),
             "limits, none active": (
-                partial(limited._within, REST, dq, ddq, point),
+                partial(limited._within, REST, dq, ddq, point.J),
                 partial(limited.readable, REST, dq, ddq, point.J),
             ),
             "on_chart_inverse": _pair("on_chart_inverse", point.J, chart.U),
@@ -98,7 +99,8 @@ def twins() -> tuple[Calls, Calls]:
             pairs["flat_pose"] = _pair("flat_pose", pin.SE3.Random().homogeneous)
             pairs["pose_difference"] = _pair("pose_difference", target.z, point.z)
         else:
-            pairs["usual"] = _pair("usual", 0.001, REST, dq, 0.0, REST + 1e-3, 0.04)
+            watches = kernels.Watch(0.0, REST, 0.04), ORIGINALS["Watch"](0.0, REST, 0.04)
+            pairs["Watch"] = partial(watches[0].follows, 0.0, REST, dq), partial(watches[1].follows, 0.0, REST, dq)
             pairs["surely_within"] = _pair("surely_within", REST, np.full(7, 0.01))
             pairs["largest"] = _pair("largest", error)
             pairs["state_rate"] = _pair("state_rate", dq, dq_last, REST)

@@ -1,7 +1,7 @@
 """Compiled twins of the package's own formulas, where it was installed with a C compiler.
 
 A formula stands where it belongs, written to be read. Where it runs in every control step and NumPy's price for a call
-counts, it may have a twin in `_fast_control.pyx` or `_fast_motion.pyx`, which gives the same to rounding in a fraction
+counts, it may have a twin in `_fast_law.pyx` or `_fast_parts.pyx`, which gives the same to rounding in a fraction
 of the time (`benchmarks/compiled.py`). Without a compiler, and with EOS_PIN_COMPILED=0 in the environment, the
 originals do everything.
 """
@@ -19,16 +19,16 @@ from typing import Any, TypeVar, cast
 kernels: Any = None
 if os.environ.get("EOS_PIN_COMPILED") != "0":
     with suppress(ImportError):
-        modules = [import_module(f"eos_pin.{name}") for name in ("_fast_control", "_fast_motion")]
+        modules = [import_module(f"eos_pin.{name}") for name in ("_fast_law", "_fast_parts")]
         kernels = SimpleNamespace(**{name: twin for module in modules for name, twin in vars(module).items()})
 
 Formula = TypeVar("Formula", bound=Callable[..., Any])
 
-#: The functions that have a twin, by name.
+#: The functions and classes that have a twin, by name.
 ORIGINALS: dict[str, Callable[..., Any]] = {}
 
 
 def twin(original: Formula) -> Formula:
-    """Put the compiled function of the same name in the place of this one, where there is one."""
+    """Put what is compiled under the same name in the place of a function or class, where there is that."""
     ORIGINALS[original.__name__] = original
     return cast(Formula, getattr(kernels, original.__name__, original))

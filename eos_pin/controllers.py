@@ -241,14 +241,13 @@ class EosController(TaskController):
         return EosMemory(drive, number, law)
 
     def torque(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> JointVector:
-        point = self.task.at(q, dq)
-        ddq, _ = self._drive(t, q, dq, memory, point)
-        return self._within(q, dq, ddq, point)[0]
+        ddq, _, J = self._drive(t, q, dq, memory)
+        return self._within(q, dq, ddq, J)[0]
 
     def _drive(
-        self, t: float, q: JointVector, dq: JointVector, memory: EosMemory, point: TaskPoint
-    ) -> tuple[JointVector, float]:
-        """H F* + E and a bound of the chart's margin; near a singularity of the task what `Drive` makes of it."""
+        self, t: float, q: JointVector, dq: JointVector, memory: EosMemory
+    ) -> tuple[JointVector, float, Jacobian]:
+        """H F* + E, a bound of the chart's margin, and G'; near a singularity of the task what `Drive` makes of it."""
         more = None
         if memory.carried is not None and t - memory.since < LONG_AGO:
             rate = max(FORGETTING, PER_SPEED * math.sqrt(dq.dot(dq)))
@@ -257,13 +256,14 @@ class EosController(TaskController):
             z_d, dz_d, ddz_d = self.reference(t)
             if not self.feedforward:
                 dz_d = ddz_d = self._rest
-            driven = memory.law(z_d, point.z, dz_d, ddz_d, point.J, point.drift, q, dq, more)
+            driven = memory.law(q, dq, z_d, dz_d, ddz_d, more)
             if driven is not None:
                 return driven
+        point = self.task.at(q, dq)
         F = self.asked(t, q, dq, memory.chart, point)
         if more is not None:
             F[point.dz.size :] += more
-        return memory.drive(point.J, F, dq)
+        return *memory.drive(point.J, F, dq), point.J
 
     def asked(self, t: float, q: JointVector, dq: JointVector, chart: Chart, point: TaskPoint) -> JointVector:
         """F* less the task's drift: (F_z − Ġ'dq, F_v), (n,); Eqs. (36), (45)."""
@@ -271,7 +271,7 @@ class EosController(TaskController):
         return np.concatenate((F_z, self.self_motion.acceleration(t, q, dq, chart)))
 
     def _within(
-        self, q: JointVector, dq: JointVector, ddq: JointVector, point: TaskPoint
+        self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
     ) -> tuple[JointVector, JointVector]:
         """M ddq − R, Eq. (35), and what limits change in ddq on average over a period; nothing here."""
         return self._model.inverse_dynamics(q, dq, ddq), self._unchanged
@@ -283,11 +283,11 @@ class EosController(TaskController):
     def observe(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> Observation:
         """The torque at a state, and what it is made of, for the record of a run."""
         point = self.task.at(q, dq)
-        ddq, margin = self._drive(t, q, dq, memory, point)
+        ddq, margin, J = self._drive(t, q, dq, memory)
         # Where a direction fades no bound of the margin comes with the acceleration.
         singular = self._rest if margin else self.task_acceleration(t, point) - point.J.dot(ddq) - point.drift
-        tau, change = self._within(q, dq, ddq, point)
-        return Observation(tau, point, singular, self._rest if change is self._unchanged else -point.J.dot(change))
+        tau, change = self._within(q, dq, ddq, J)
+        return Observation(tau, point, singular, self._rest if change is self._unchanged else -J.dot(change))
 
     def margin(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> float:
         _, J = self.task.linearize(q)
@@ -306,19 +306,17 @@ class EosController(TaskController):
         if not self.smooth:
             return following
         # dv is another on the new chart, and so is what the law asks of it; the difference is forgotten by and by.
-        point = self.task.at(q, dq)
-        ddq, _ = self._drive(t, q, dq, memory, point)
-        F = self.asked(t, q, dq, chart, point)
+        ddq, _, _ = self._drive(t, q, dq, memory)
+        F = self.asked(t, q, dq, chart, self.task.at(q, dq))
         return replace(following, since=t, carried=chart.dv(ddq) - F[chart.m :])
 
     def step(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> tuple[JointVector, EosMemory]:
-        point = self.task.at(q, dq)
-        ddq, margin = self._drive(t, q, dq, memory, point)
+        ddq, margin, J = self._drive(t, q, dq, memory)
         # The bound that comes with the acceleration saves the chart's exact margin nearly always.
-        if margin <= self.atlas.threshold and not self._holds(memory.chart, point.J):
+        if margin <= self.atlas.threshold and not self._holds(memory.chart, J):
             memory = self.update(t, q, dq, memory)
-            ddq, _ = self._drive(t, q, dq, memory, point)
-        return self._within(q, dq, ddq, point)[0], memory
+            ddq, _, J = self._drive(t, q, dq, memory)
+        return self._within(q, dq, ddq, J)[0], memory
 
     def _holds(self, chart: Chart, J: Jacobian) -> bool:
         """Whether the chart serves; where no chart can be made, the one there is does."""

@@ -14,6 +14,7 @@ from eos_pin.bases import DENSE
 from eos_pin.charts import DENSE_SOLVE, EDGE, Chart
 from eos_pin.compiled import kernels
 from eos_pin.errors import ChartError
+from eos_pin.frames import FrameTask
 from eos_pin.linear import FADING, FAST, fade, haste
 from eos_pin.targets import Hold, Trajectory
 from eos_pin.tasks import Task
@@ -77,9 +78,10 @@ class Drive:
         if self._compiled is None or not isinstance(v_d, Hold):
             return None
         task = self.chart.task
+        at = (isinstance(task, FrameTask) and type(task).at is FrameTask.at and task.compiled) or task.at
         minus = None if type(task).minus is Task.minus else task.minus
         held = v_d.z + self.chart.basis.project(self.chart.q_bar) - self.chart.v_bar
-        return kernels.TrackingLaw(*self._made_from, kp, kd, kp_v, kd_v, held, minus)
+        return kernels.TrackingLaw(*self._made_from, kp, kd, kp_v, kd_v, held, at, minus)
 
     def margin(self, J: Jacobian, enough: float) -> float:
         """`Chart.margin`, or a lower bound of it that exceeds `enough`."""

@@ -50,15 +50,16 @@ class FrameTask(Task):
     # -- the same, compiled ------------------------------------------------------------------------------------------
 
     @cached_property
-    def _frame(self) -> Any:
+    def compiled(self) -> Any:
+        """`value`, `linearize` and `at` in one compiled object; None if they are not."""
         where = self._model, self._data, self._id, self._part, self._rows, TaskPoint
         return kernels and kernels.Frame(*where)
 
     def value(self, q: JointVector) -> Point:
-        return self._frame.value(q) if self._frame else super().value(q)
+        return self.compiled.value(q) if self.compiled else super().value(q)
 
     def linearize(self, q: JointVector) -> tuple[Point, Jacobian]:
-        return self._frame.linearize(q) if self._frame else super().linearize(q)
+        return self.compiled.linearize(q) if self.compiled else super().linearize(q)
 
     def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
-        return self._frame.at(q, dq) if self._frame else super().at(q, dq)
+        return self.compiled.at(q, dq) if self.compiled else super().at(q, dq)

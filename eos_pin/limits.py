@@ -25,7 +25,7 @@ from eos_pin.errors import InputError
 from eos_pin.objectives import Objective
 from eos_pin.robot import Robot
 from eos_pin.targets import Trajectory
-from eos_pin.tasks import Task, TaskPoint
+from eos_pin.tasks import Task
 
 #: Rate at which a joint closes in on a limit of position or velocity [1/s].
 RATE = 100.0
@@ -233,10 +233,10 @@ class LimitedEosController(EosController):
         )  # fmt: skip
 
     def _within(
-        self, q: JointVector, dq: JointVector, ddq: JointVector, point: TaskPoint
+        self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
     ) -> tuple[JointVector, JointVector]:
-        found = None if self._compiled is None else self._compiled(q, dq, ddq, point.J)
-        return self.readable(q, dq, ddq, point.J) if found is None else found
+        found = None if self._compiled is None else self._compiled(q, dq, ddq, J)
+        return self.readable(q, dq, ddq, J) if found is None else found
 
     def readable(
         self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian

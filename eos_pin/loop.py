@@ -39,7 +39,6 @@ class ControlLoop:
         self.saturated = False
         self._shape = None if robot is None else (robot.n,)
         self._jump = math.inf if jump == math.inf else number(jump, "the largest jump", above=0.0)
-        self._jump_squared = self._jump**2
         self._limits: JointVector = np.array(np.inf)
         if torque_limits is True:
             self._limits = self._limits if robot is None else robot.effort
@@ -58,7 +57,7 @@ class ControlLoop:
     def reset(self) -> None:
         """Forget the chart and the last state; the next step starts a run."""
         self.memory = None
-        self._last: tuple[float, JointVector] | None = None
+        self._watch: Watch | None = None
 
     def step(self, t: float, q: VectorLike, dq: VectorLike) -> JointVector:
         """Joint torques at time t [s] in the state (q, dq) [N m or N].
@@ -67,18 +66,10 @@ class ControlLoop:
             StateError: The state or the time cannot be used; nothing is changed, the next step may go on.
             SingularError: The task is singular in the first state of a run.
         """
-        q_now: Any = q
-        dq_now: Any = dq
-        last = self._last
-        if last is None:
-            q_now, dq_now = self._checked(q, "q"), self._checked(dq, "dq")
-            self._start(t, q_now, dq_now)
-        else:
-            if not usual(t, q, dq, *last, self._jump_squared):
-                q_now, dq_now = self._checked(q, "q"), self._checked(dq, "dq")
-                self._refuse(t, q_now, dq_now, *last)
-            self._last = t, q_now.copy()
-        tau, self.memory = self.controller.step(t, q_now, dq_now, self.memory)
+        if self._watch is None or not self._watch.follows(t, q, dq):
+            q, dq = self._checked(q, "q"), self._checked(dq, "dq")
+            self._look(t, q, dq)
+        tau, self.memory = self.controller.step(t, q, dq, self.memory)  # type: ignore[arg-type]
         self.saturated = False
         return tau if surely_within(tau, self._per_limit) else self._cut(t, tau)
 
@@ -104,26 +95,26 @@ class ControlLoop:
         # Two calls that take a third of the time of np.clip.
         return np.minimum(np.maximum(tau, -self._limits), self._limits) if self.saturated else tau
 
-    def _start(self, t: float, q: JointVector, dq: JointVector) -> None:
-        """Memory at the start of a run; a start that is refused leaves no trace."""
-        if not math.isfinite(t):
-            raise StateError(f"no torque at this time: it must be finite, got {t!r}")
-        self.memory = self.controller.start(t, q, dq)
-        self._last = t, q.copy()
-
-    def _refuse(self, t: float, q: JointVector, dq: JointVector, t_last: float, q_last: JointVector) -> None:
-        """Refuse a clock that runs backwards, and joints that moved farther than their speed explains."""
+    def _look(self, t: float, q: JointVector, dq: JointVector) -> None:
+        """Start a run, or see whether a state that is not as usual can be used; one that is refused leaves no trace."""
+        if self._watch is None:
+            if not math.isfinite(t):
+                raise StateError(f"no torque at this time: it must be finite, got {t!r}")
+            self.memory = self.controller.start(t, q, dq)
+            self._watch = Watch(t, q, self._jump**2)
+            return
+        t_last, q_last = self._watch.last
         if not t_last <= t < math.inf:
             raise StateError(
                 f"no torque at this time: t = {t!r} comes after {t_last!r} s. Use a monotonic clock, or reset() "
                 "the loop to start a new run"
             )
+        # If it is a jump, the next state is believed if it is near this one.
+        self._watch.last = t, q
         moved, gap = q - q_last, t - t_last
         allowed = self._jump + 2.0 * np.abs(dq) * gap
         joint = int(np.argmax(np.abs(moved) - allowed))
         if abs(moved[joint]) > allowed[joint]:
-            # The next state is believed if it is near this one.
-            self._last = t, q.copy()
             raise StateError(
                 f"no torque for this state: q[{joint}] jumped by {moved[joint]:.3g} in {gap:.3g} s, more than "
                 f"{allowed[joint]:.3g}. If the next state agrees with this one, the loop goes on"
@@ -137,15 +128,42 @@ class ControlLoop:
 
 
 @twin
-def usual(t: float, q: Any, dq: Any, t_last: float, q_last: JointVector, jump_squared: float) -> bool:
-    """Whether a state follows the last one as is usual, so that no closer look is needed."""
-    try:
-        moved = q - q_last
-        # The length of the move bounds each joint's, so the usual case is one product; NaN never passes.
-        near = moved.dot(moved) < jump_squared and t_last <= t < math.inf
-        return bool(near and math.isfinite(dq.dot(dq)) and q.shape == dq.shape == q_last.shape)
-    except (AttributeError, TypeError, ValueError):
-        return False
+class Watch:
+    """Keeps the last state of a loop, and sees whether the next one follows it as is usual.
+
+    Args:
+        t: Time of the last state [s].
+        q: Its joints.
+        jump_squared: Square of how far joints may have moved, together, where no closer look is needed.
+
+    Attributes:
+        last: Time and joints of the last state.
+    """
+
+    def __init__(self, t: float, q: JointVector, jump_squared: float) -> None:
+        self.last, self._jump_squared = (t, q), jump_squared
+
+    @property
+    def last(self) -> tuple[float, JointVector]:
+        return self._last
+
+    @last.setter
+    def last(self, state: tuple[float, JointVector]) -> None:
+        self._last = state[0], state[1].copy()
+
+    def follows(self, t: Any, q: Any, dq: Any) -> bool:
+        """Whether a state is as usual; if it is, it is the last one now."""
+        t_last, q_last = self._last
+        try:
+            moved = q - q_last
+            # The length of the move bounds each joint's, so the usual case is one product; NaN never passes.
+            near = moved.dot(moved) < self._jump_squared and t_last <= t < math.inf
+            usual = bool(near and math.isfinite(dq.dot(dq)) and q.shape == dq.shape == q_last.shape)
+        except (AttributeError, TypeError, ValueError):
+            return False
+        if usual:
+            self.last = t, q
+        return usual
 
 
 @twin

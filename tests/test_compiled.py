@@ -63,11 +63,19 @@ def test_where_there_is_a_compiler_there_are_twins():
 def test_the_watch_of_the_loop(data):
     n = data.draw(sizes)
     odd = st.one_of(floats, st.sampled_from([np.nan, np.inf, -np.inf]))
-    q, dq, last = (data.draw(vectors(n, elements)) for elements in (odd, odd, floats))
-    t, t_last = data.draw(odd), data.draw(floats)
-    twin, original = both("usual", t, q, dq, t_last, last, data.draw(st.floats(0.1, 1e4)))
-    assert twin is original
-    assert both("usual", t, last, last, t_last, last, 0.1) == (t_last <= t < np.inf,) * 2
+    first = data.draw(floats), data.draw(vectors(n)), data.draw(st.floats(0.1, 1e4))
+    watches = both("Watch", *first)
+    for _ in range(4):
+        state = data.draw(odd), data.draw(vectors(n, odd)), data.draw(vectors(n, odd))
+        twin, original = (watch.follows(*state) for watch in watches)
+        assert twin is original
+        for one, other in zip(*(watch.last for watch in watches), strict=True):
+            np.testing.assert_array_equal(one, other)
+    t, q = watches[0].last
+    for watch in (watches[0], pickle.loads(pickle.dumps(watches[0])), watches[1]):
+        assert watch.follows(t + 1.0, q, q)
+        watch.last = t, q
+        assert not watch.follows(t - 1.0, q, q)
 
 
 @pytest.mark.parametrize(
@@ -75,10 +83,9 @@ def test_the_watch_of_the_loop(data):
 )
 def test_what_is_unusual_is_looked_at_more_closely(q):
     zero = np.zeros(2)
-    for state in ((q, zero), (zero, q)):
-        assert kernels.usual(0.0, *state, 0.0, zero, 1.0) is False
-    assert kernels.usual(None, zero, zero, 0.0, zero, 1.0) is False
-    assert kernels.usual("now", zero, zero, 0.0, zero, 1.0) is False
+    watch = kernels.Watch(0.0, zero, 1.0)
+    for state in ((0.0, q, zero), (0.0, zero, q), (None, zero, zero), ("now", zero, zero)):
+        assert watch.follows(*state) is False
     assert kernels.surely_within(q, np.ones(2)) is False
 
 
@@ -226,7 +233,7 @@ def test_the_tracking_law(task, feedforward, carried, data):
     point, more = task.at(q, dq), random.uniform(-1.0, 1.0, r) if carried else None
     law = pickle.loads(pickle.dumps(memory.law))
     z_d, dz_d, ddz_d = target(0.0)
-    twin = law(z_d, point.z, dz_d, ddz_d, point.J, point.drift, q, dq, more)
+    twin = law(q, dq, z_d, dz_d, ddz_d, more)
     F = controller.asked(0.0, q, dq, memory.chart, point)
     if carried:
         F[task.m :] += more
@@ -241,7 +248,7 @@ def test_tasks_are_copied_with_their_twins(panda):
     q, dq = random_state(panda, seed=3)
     task = PoseTask(panda, tip(panda))
     expected = task.at(q, dq)
-    again = pickle.loads(pickle.dumps(task._frame))
+    again = pickle.loads(pickle.dumps(task.compiled))
     task.value(0.0 * q)
     for one, other in zip(again.at(q, dq), expected, strict=True):
         np.testing.assert_array_equal(one, other)

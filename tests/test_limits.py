@@ -216,7 +216,7 @@ def test_what_is_compiled_does_the_same(panda, task, limits, seed, period, size)
     point = task.at(q, dq)
     for _ in range(2):
         for one, other in zip(
-            controller._within(q, dq, ddq, point), controller.readable(q, dq, ddq, point.J), strict=True
+            controller._within(q, dq, ddq, point.J), controller.readable(q, dq, ddq, point.J), strict=True
         ):
             np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * size)
         controller = pickle.loads(pickle.dumps(controller))

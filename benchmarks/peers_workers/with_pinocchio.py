@@ -14,16 +14,18 @@ AXES = pin.LOCAL_WORLD_ALIGNED
 def build(problem: Problem) -> Mapping[str, Call]:
     model = pin.buildModelFromUrdf(problem.urdf)
     data, frame, n = model.createData(), model.getFrameId(problem.frame), model.nv
-    rest = np.zeros(n)
+    rest, turn = np.zeros(n), pin.exp3(np.full(3, 0.1))
 
     def bare(state: np.ndarray) -> np.ndarray:
-        """Kinematics, Jacobian, drift and placement of the frame, then inverse dynamics."""
+        """Kinematics, Jacobian, drift and placement of the frame, of a pose the error in rotation; inverse dynamics."""
         q, dq = state[:n], state[n:]
         pin.forwardKinematics(model, data, q, dq, rest)
         pin.computeJointJacobians(model, data)
         pin.getFrameJacobian(model, data, frame, AXES)
         pin.getFrameClassicalAcceleration(model, data, frame, AXES)
         pin.updateFramePlacement(model, data, frame)
+        if problem.whole:
+            pin.log3(turn)
         return pin.rnea(model, data, q, dq, rest)
 
     def clik(damping: float) -> Call:
