@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from eos_pin.arrays import Array, JointVector, Vector, VectorLike, nearest, number
 from eos_pin.charts import Chart
-from eos_pin.controllers import EosController, Observation
+from eos_pin.controllers import EosController
 from eos_pin.errors import ChartError, EosError, SingularError
 from eos_pin.results import Result, provenance
 from eos_pin.robot import Robot
@@ -45,7 +45,8 @@ class _Row(NamedTuple):
     work: float
     memory: Any
     chart: Chart | None
-    seen: Observation | None
+    #: z, dz, and what is given up to a singularity and to limits, where the controller says so.
+    task: tuple[Array, Array, Array, Array] | None
 
 
 class Recorder:
@@ -80,14 +81,17 @@ class Recorder:
         self._next += self._next < len(self.times) and t >= self.times[self._next]
         system = self.system
         q, dq = (np.array(a) for a in system.joints(x))
-        controller, seen = system.controller, None
+        controller, done = system.controller, None
         if isinstance(controller, EosController):
             seen = controller.observe(t, q, dq, system.memory)
+            # A long run keeps no more of it than this.
+            done = seen.point.z, seen.point.dz, seen.to_singularity, seen.to_limits
+            tau = seen.tau if tau is None else tau
         if tau is None:
-            tau = controller.torque(t, q, dq, system.memory) if seen is None else seen.tau
+            tau = controller.torque(t, q, dq, system.memory)
         ddq, _ = system.accelerate(t, q, dq, tau)
         chart = getattr(system, "chart", None) or getattr(system.memory, "chart", None)
-        self._rows.append(_Row(t, q, dq, ddq, np.array(tau), x[-1], system.memory, chart, seen))
+        self._rows.append(_Row(t, q, dq, ddq, np.array(tau), x[-1], system.memory, chart, done))
         if self.observer is not None:
             self.observer(t, q)
 
@@ -169,18 +173,16 @@ class Recorder:
         rows, controller, force = self._rows, self.system.controller, self.system.task_force
         if task is None:
             return {name: np.zeros((len(rows), 0)) for name in _TASK_COLUMNS}
+        reference, nothing = getattr(controller, "reference", None), np.zeros(task.m)
         # The plant's kinematics are those of the controller's model, which may differ in inertia only.
-        points = [task.at(row.q, row.dq) if row.seen is None else row.seen.point for row in rows]
-        z, dz = np.array([point.z for point in points]), np.array([point.dz for point in points])
-        z_ref, error, given_up = np.full_like(z, np.nan), np.full_like(dz, np.nan), np.zeros((2, *dz.shape))
-        reference = getattr(controller, "reference", None)
+        done = [row.task or (*task.at(row.q, row.dq)[::2], nothing, nothing) for row in rows]
+        z, dz, singular, limited = map(np.array, zip(*done, strict=True))
+        z_ref, error = np.full_like(z, np.nan), np.full_like(dz, np.nan)
         if reference is not None:
             z_ref = np.array([reference(row.t).z for row in rows])
             error = np.array(list(map(task.minus, z_ref, z)))
-        if isinstance(controller, EosController):
-            given_up = np.array([row.seen[2:] for row in rows if row.seen]).transpose(1, 0, 2)
         forces = np.array([force.force(row.t) for row in rows], dtype=float) if force else np.zeros_like(dz)
-        return dict(zip(_TASK_COLUMNS, (z, dz, z_ref, error, forces, given_up.sum(axis=0), given_up[1]), strict=True))
+        return dict(zip(_TASK_COLUMNS, (z, dz, z_ref, error, forces, singular + limited, limited), strict=True))
 
 
 def _ending(ending: BaseException, t: float) -> tuple[str, str]:
