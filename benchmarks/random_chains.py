@@ -123,11 +123,8 @@ class Figures:
     def wrong(self) -> tuple[str, ...]:
         """Names of the figures that are not within their bounds."""
         exceeded = tuple(name for name, bound in BOUNDS.items() if not getattr(self, name) <= bound)
-        # Without limits nothing keeps joints from running away where charts follow each other faster than v is damped;
-        # the run then has to say so.
-        allowed = {"anywhere": ("finished", "degraded"), "unlimited": ("finished", "degraded", "diverged")}
-        lost = tuple(name for name, endings in allowed.items() if getattr(self, name) not in endings)
-        return exceeded + (("endings",) if self.endings else ()) + lost
+        lost = (n for n in ("anywhere", "unlimited") if getattr(self, n) not in ("finished", "degraded"))
+        return exceeded + (("endings",) if self.endings else ()) + tuple(lost)
 
 
 def examine(seed: int) -> Figures:

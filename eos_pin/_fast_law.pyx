@@ -123,10 +123,11 @@ cdef class Drive:
         Qt: Transposed orthonormal basis Q of the row space there, (m, n).
         most: Square of the size of U B from which directions may fade.
         fast: Joint speed from which they fade earlier.
+        runaway, braking: Joint speed beyond which self-motion is braked, and how much.
     """
 
     cdef int n, m, room
-    cdef double most, fast
+    cdef double most, fast, runaway, braking
     cdef double *Vt
     cdef double *Qt
     cdef double *J
@@ -137,9 +138,10 @@ cdef class Drive:
     cdef int *pivots
     cdef tuple made_from, kept
 
-    def __init__(self, Vt, Qt, double most, double fast):
-        self.made_from = Vt, Qt, most, fast
+    def __init__(self, Vt, Qt, double most, double fast, double runaway, double braking):
+        self.made_from = Vt, Qt, most, fast, runaway, braking
         self.m, self.n = Qt.shape
+        self.runaway, self.braking = runaway, braking
         m, n, self.room, self.most, self.fast = self.m, self.n, 16 * self.m, most, fast
         self.kept = *(np.array(basis, dtype=float, order="C") for basis in (Vt, Qt)), *map(
             aligned, (m * n, n, m * m, m, self.room)
@@ -169,7 +171,7 @@ cdef class Drive:
         """The same for what stands in J and F: ddq = V F_v + Q (JQ)⁻¹ (F_z − J V F_v), where U B = Q (JQ)⁻¹."""
         cdef int n = self.n, m = self.m, r = n - m, info = 0
         cdef double *A = self.A
-        cdef double speed = dot(dq, dq, n) / (self.fast * self.fast), worn = 0.0, part
+        cdef double speed = sqrt(dot(dq, dq, n)), worn = 0.0, haste, part
         cdef Py_ssize_t i, j, k
         for i in range(m):
             for k in range(m):
@@ -177,8 +179,12 @@ cdef class Drive:
         dgetrf(&m, &m, A, &m, self.pivots, &info)
         if info == 0:
             dgetri(&m, A, &m, self.pivots, self.work, &self.room, &info)
-        if info != 0 or not dot(A, A, m * m) * max(speed, 1.0) < self.most:
+        haste = max(speed / self.fast, 1.0)
+        if info != 0 or not dot(A, A, m * m) * haste * haste < self.most:
             return None
+        if speed > self.runaway:
+            for k in range(r):
+                self.F[m + k] -= self.braking * (speed - self.runaway) * dot(self.Vt + k * n, dq, n)
         cdef cnp.ndarray ddq = empty(n)
         cdef double *x = data(ddq)
         for j in range(n):
@@ -210,7 +216,7 @@ cdef class TrackingLaw(Drive):
     """`EosController.asked` for self-motion that is held, and `Drive` of it; Eqs. (36), (45).
 
     Args:
-        Vt, Qt, most, fast: As for `Drive`.
+        Vt, Qt, most, fast, runaway, braking: As for `Drive`.
         kp, kd: Gains of the task, (m,).
         kp_v, kd_v: Gains of the self-motion, (r,).
         v: Where Vᵀ q should be, (r,).
@@ -226,8 +232,8 @@ cdef class TrackingLaw(Drive):
     cdef object task_at, minus
     cdef Frame frame
 
-    def __init__(self, Vt, Qt, most, fast, kp, kd, kp_v, kd_v, v, at, minus):
-        super().__init__(Vt, Qt, most, fast)
+    def __init__(self, Vt, Qt, most, fast, runaway, braking, kp, kd, kp_v, kd_v, v, at, minus):
+        super().__init__(Vt, Qt, most, fast, runaway, braking)
         self.made_from += kp, kd, kp_v, kd_v, v, at, minus
         self.task_at, self.minus, self.frame = at, minus, at if isinstance(at, Frame) else None
         vectors = tuple(np.array(given, dtype=float) for given in (kp, kd, kp_v, kd_v, v))

@@ -15,7 +15,7 @@ from eos_pin.charts import DENSE_SOLVE, EDGE, Chart
 from eos_pin.compiled import kernels
 from eos_pin.errors import ChartError
 from eos_pin.frames import FrameTask
-from eos_pin.linear import FADING, FAST, fade, haste
+from eos_pin.linear import FADING, FAST, RUNAWAY, RUNAWAY_BRAKING, fade, haste
 from eos_pin.targets import Hold, Trajectory
 from eos_pin.tasks import Task
 
@@ -24,11 +24,11 @@ class Drive:
     """Joint accelerations of a control law on a chart.
 
     They are those of `Chart.acceleration`, but directions of the task that are being lost fade out of the law and are
-    braked; see `eos_pin.linear.fade`.
+    braked, see `eos_pin.linear.fade`; and so is self-motion of joints that are about to run away.
 
     Args:
         chart: The chart.
-        smooth: Whether directions fade out; if not, singularities are the caller's business.
+        smooth: Whether both is done; if not, singularities and speeds are the caller's business.
     """
 
     def __init__(self, chart: Chart, *, smooth: bool = True) -> None:
@@ -47,7 +47,8 @@ class Drive:
 
     @property
     def _made_from(self) -> tuple[Any, ...]:
-        return self.chart.Vt, self.chart.row_basis.T, self.most, FAST
+        runaway = RUNAWAY if self.smooth else math.inf
+        return self.chart.Vt, self.chart.row_basis.T, self.most, FAST, runaway, RUNAWAY_BRAKING
 
     def __call__(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
         """Joint acceleration, and a lower bound of the chart's margin that is got on the way, 0 if none is.
@@ -92,6 +93,9 @@ class Drive:
     def readable(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
         """The same, without what is compiled."""
         n, m = self.chart.n, self.chart.m
+        speed = math.sqrt(dq.dot(dq))
+        if self.smooth and speed > RUNAWAY:
+            F = np.concatenate((F[:m], F[m:] - RUNAWAY_BRAKING * (speed - RUNAWAY) * self.chart.dv(dq)))
         A, b, lifted = self.chart.system(J, F)
         LU, pivots, info = lapack.dgetrf(A)
         H, singular = lapack.dgetri(LU, pivots, overwrite_lu=1)

@@ -21,6 +21,9 @@ FADING = 0.05
 FAST = 4.0
 #: Rate at which motion in a direction that fades out is braked [1/s]; more for joints faster than that, in proportion.
 BRAKING = 20.0
+#: Joint speed that no self-motion is meant to have: the length of dq. Beyond it self-motion is braked, at this rate for
+#: each rad/s more; charts that follow each other faster than v is damped would make it grow without end [rad/s, 1].
+RUNAWAY, RUNAWAY_BRAKING = 16.0, 10.0
 
 
 def check_rank(J: Jacobian) -> None:

@@ -54,3 +54,19 @@ def test_the_margin_that_comes_with_the_acceleration_is_a_lower_bound(task, data
     drive, zero = Drive(chart), np.zeros(chart.n)
     assert drive(J, zero, zero)[1] <= chart.margin(J) + 1e-9
     assert drive(chart.U.T, zero, zero)[1] in (pytest.approx(1.0), 0.0)
+
+
+@every
+def test_self_motion_of_joints_that_run_away_is_braked(task):
+    """Beyond 16 rad/s by ten times the excess, and the task feels nothing of it."""
+    random = np.random.default_rng(5)
+    chart = Chart.at(task, checks.random_state(task.robot, random)[0])
+    along, zero = chart.V @ random.normal(size=chart.r), np.zeros(chart.n)
+    along /= np.linalg.norm(along) or 1.0
+    for smooth in (True, False):
+        drive = Drive(chart, smooth=smooth)
+        drive.most = np.inf  # nothing fades
+        for call in (drive, drive.readable):
+            for speed, braking in ((15.0, 0.0), (20.0, 10.0 * 4.0 * 20.0 * smooth)):
+                ddq, _ = call(chart.U.T, zero, speed * along)
+                np.testing.assert_allclose(ddq, -braking * along, atol=1e-9 * max(1.0, braking))
