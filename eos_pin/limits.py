@@ -182,8 +182,8 @@ class LimitedEosController(EosController):
 
     A target may lead out of reach and come back; the task is then taken up again. But the law is local: an arm that
     went through a singularity meanwhile, or began near one, may have come to where joint limits bar every way that
-    lessens the error at once. It stays there until the target moves on, and `given_up` says what is lacking. Two or
-    three of a hundred random runs in `benchmarks/limits.py` end so.
+    lessens the error at once. It stays there until the target moves on, and `given_up` says what is lacking. Three or
+    four of a hundred random runs in `benchmarks/limits.py` end so.
 
     Args:
         task: The task.
