@@ -100,7 +100,7 @@ def benchmark(
         quick: Fewer and shorter runs, one round.
         json_file: File for the figures.
     """
-    seeds, cycles = (1, 1) if quick else (5, 3)
+    seeds, cycles = (1, 1) if quick else (5, 6)
     spent = speedups(1 if quick else 3, seeds, cycles)
     rows, ratios = [], {}
     for what, name in (("sweep", f"{8 * seeds} runs"), ("loops", "plain loops")):
