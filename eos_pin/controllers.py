@@ -24,7 +24,7 @@ from eos_pin.errors import InputError, SingularError
 from eos_pin.objectives import Objective, Track
 from eos_pin.robot import Robot
 from eos_pin.targets import Target, Trajectory
-from eos_pin.tasks import Task, TaskPoint
+from eos_pin.tasks import Point, Task, TaskPoint
 
 #: Rate at which the acceleration that is carried over to the next chart is forgotten [1/s], and that for every radian
 #: per second of joint speed: it has to be gone before a fast robot is through with the chart.
@@ -166,13 +166,15 @@ class Observation(NamedTuple):
 
     Attributes:
         tau: Joint torques [N m or N].
-        point: Task point and its derivatives.
+        z: Task point.
+        dz: Task velocity [m/s, rad/s].
         to_singularity: Task acceleration given up because the task is nearly singular, (m,).
         to_limits: Task acceleration given up to limits, (m,).
     """
 
     tau: JointVector
-    point: TaskPoint
+    z: Point
+    dz: TaskVector
     to_singularity: TaskVector
     to_limits: TaskVector
 
@@ -282,12 +284,15 @@ class EosController(TaskController):
 
     def observe(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> Observation:
         """The torque at a state, and what it is made of, for the record of a run."""
-        point = self.task.at(q, dq)
         ddq, margin, J = self._drive(t, q, dq, memory)
-        # Where a direction fades no bound of the margin comes with the acceleration.
-        singular = self._rest if margin else self.task_acceleration(t, point) - point.J.dot(ddq) - point.drift
         tau, change = self._within(q, dq, ddq, J)
-        return Observation(tau, point, singular, self._rest if change is self._unchanged else -J.dot(change))
+        singular = self._rest
+        # Where a direction fades no bound of the margin comes with the acceleration.
+        if margin <= 0.0:
+            point = self.task.at(q, dq)
+            singular = self.task_acceleration(t, point) - J.dot(ddq) - point.drift
+        limited = self._rest if change is self._unchanged else -J.dot(change)
+        return Observation(tau, self.task.value(q), J.dot(dq), singular, limited)
 
     def margin(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> float:
         _, J = self.task.linearize(q)

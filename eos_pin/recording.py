@@ -80,12 +80,11 @@ class Recorder:
             return
         self._next += self._next < len(self.times) and t >= self.times[self._next]
         system = self.system
-        q, dq = (np.array(a) for a in system.joints(x))
+        q, dq = system.joints(np.array(x))
         controller, done = system.controller, None
         if isinstance(controller, EosController):
             seen = controller.observe(t, q, dq, system.memory)
-            # A long run keeps no more of it than this.
-            done = seen.point.z, seen.point.dz, seen.to_singularity, seen.to_limits
+            done = seen[1:]
             tau = seen.tau if tau is None else tau
         if tau is None:
             tau = controller.torque(t, q, dq, system.memory)
