@@ -105,6 +105,8 @@ class System(ABC):
             for name in ("viscous", "coulomb"):
                 spread(getattr(friction, name), plant.n, f"{name} friction")
         self.plant, self.controller, self.task_force, self.friction = plant, controller, task_force, friction
+        #: Whether other torques than the controller's act on the plant.
+        self.disturbed = not (task_force is None and friction is None)
         self.memory: Any = None
 
     @property
@@ -113,7 +115,8 @@ class System(ABC):
 
     def accelerate(self, t: float, q: JointVector, dq: JointVector, tau: JointVector) -> tuple[JointVector, float]:
         """Acceleration of the plant under all torques that act on it, and the power they bring in [W]."""
-        tau = self.acting(t, q, dq, tau)
+        if self.disturbed:
+            tau = self.acting(t, q, dq, tau)
         return self.plant.forward_dynamics(q, dq, tau), tau.dot(dq)
 
     def acting(self, t: float, q: JointVector, dq: JointVector, tau: JointVector) -> JointVector:
@@ -152,16 +155,14 @@ class JointSystem(System):
         self.memory = self.controller.start(0.0, q, dq)
         return np.concatenate((q, dq, [0.0]))
 
-    def rhs(self, t: float, x: Vector) -> Vector:
-        return self.derivative(t, x, None)
-
-    def derivative(self, t: float, x: Vector, tau: JointVector | None) -> Vector:
+    def rhs(self, t: float, x: Vector, tau: JointVector | None = None) -> Vector:
         """Time derivative of the state under a torque, by default the controller's."""
         n = self.plant.n
         q, dq = x[:n], x[n:-1]
         if tau is None:
             tau = self.controller.torque(t, q, dq, self.memory)
-        tau = self.acting(t, q, dq, tau)
+        if self.disturbed:
+            tau = self.acting(t, q, dq, tau)
         return state_rate(dq, self.plant.forward_dynamics(q, dq, tau), tau)
 
     def advance(self, t: float, x: Vector, tau: JointVector, length: float, substeps: int) -> Vector:
@@ -177,7 +178,7 @@ class JointSystem(System):
 
     def _runge_kutta(self, t: float, x: Vector, tau: JointVector, h: float) -> Vector:
         """One step of the classical method of order 4."""
-        f = self.derivative
+        f = self.rhs
         a = f(t, x, tau)
         b = f(t + 0.5 * h, x + 0.5 * h * a, tau)
         c = f(t + 0.5 * h, x + 0.5 * h * b, tau)
