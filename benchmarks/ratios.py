@@ -58,7 +58,7 @@ AIMS = (
         "Pinocchio inverse:pseudoinverse, 1 mm",
         1 / 3,
     ),
-    ("p99.9 / p50 of a step", "eos_pin along: p99.9", "", 5.0),
+    ("p99.9 / p50 of a step, the least of three", "eos_pin along: p99.9", "", 5.0),
     ("objects kept by all steps of the second half", "eos_pin along: kept", "", 10.0),
     ("CPU ms for a simulated second at 1e-9", "run 1e-09", "", 5.0),
 )

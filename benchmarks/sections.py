@@ -213,17 +213,30 @@ def long_loop(team: Crew, setting: Setting, effort: Effort) -> Section:
             team.missing[f"{worker.name}, {case}"] = str(error)
             continue
         p50, p99, p999, most = reply["percentiles"]
-        figures[f"{worker.name} {case} p99.9"] = p999 / p50
+        figures[f"{worker.name} {case} p99.9"] = reply["own"] / p50
         figures[f"{worker.name} {case} kept"] = reply["blocks"]
         kept = reply["blocks"], reply["bytes"] / 1024
-        rows.append((worker.name, WORDS[case], p50, p99, p999, most, p999 / p50, *kept))
+        rows.append((worker.name, WORDS[case], p50, p99, p999, most, p999 / p50, reply["own"] / p50, *kept))
     return Section(
         f"{effort.steps} steps along a figure eight, {setting.kind}, garbage collector on",
-        ("library", "computes", "p50, µs", "p99", "p99.9", "most", "p99.9 / p50", "objects kept", "KiB kept"),
+        (
+            "library",
+            "computes",
+            "p50, µs",
+            "p99",
+            "p99.9",
+            "most",
+            "p99.9 / p50",
+            "its own",
+            "objects kept",
+            "KiB kept",
+        ),
         rows,
         "CPU time of every single step, without what reading the clock takes; interrupts count. One of several hundred "
-        "stretches of a few µs is interrupted, whatever computes there, as the dot product shows: what p99.9 says of "
-        "the code itself is what it exceeds that by. What is kept is counted over the second half of the steps.",
+        "stretches of a few µs is interrupted for about 30 µs, whatever computes there, as the dot product shows. So "
+        "all is done three times, and the ratio is given for the least of three times, too, as the code's own: what "
+        "it takes long for itself comes again at the same step. What is kept is counted over the second half of the "
+        "steps.",
         figures,
     )
 
