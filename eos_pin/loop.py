@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from eos_pin.arrays import JointVector, TaskVector, VectorLike, number, numbers, spread, vector
+from eos_pin.arrays import Array, JointVector, TaskVector, VectorLike, number, numbers, spread, vector
 from eos_pin.compiled import twin
 from eos_pin.controllers import Controller, TaskController
 from eos_pin.errors import InputError, StateError
@@ -167,7 +167,7 @@ class Watch:
 
 
 @twin
-def surely_within(tau: JointVector, per_limit: JointVector) -> bool:
+def surely_within(tau: Any, per_limit: Array) -> bool:
     """Whether torques are finite and within limits, by a bound: squared parts that sum to less than one are each less.
 
     Args:
