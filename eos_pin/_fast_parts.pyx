@@ -175,7 +175,9 @@ cdef class Curve:
     """`Waves`.
 
     Args:
-        phase, frequencies, rows, first, second: As the function `waves` takes them, and the phase.
+        phase, frequencies: As `Waves` takes them.
+        rows: Its three blocks side by side.
+        first, second: Where the second and the third block begin.
         target: What `Waves` returns its tuple as.
     """
 
@@ -214,7 +216,7 @@ cdef class Curve:
 def flat_pose(cnp.ndarray array not None):
     cdef cnp.ndarray z = empty(12)
     cdef double *R = data(z) + 3
-    cdef double size = 0.0, off = 0.0, product
+    cdef double off = 0.0, product
     cdef Py_ssize_t i, j
     if plain(array, 12):
         for i in range(12):

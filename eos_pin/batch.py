@@ -17,11 +17,9 @@ from eos_pin.charts import Chart
 from eos_pin.controllers import Controller
 from eos_pin.errors import InputError, InverseError
 
-#: A number for each state, and a row of joints, of the task or of the self-motion for each.
+#: A number for each state, and a row of joints for each.
 Numbers: TypeAlias = Float[np.ndarray, " K"]
 JointTable: TypeAlias = Float[np.ndarray, "K n"]
-TaskTable: TypeAlias = Float[np.ndarray, "K size"]
-SelfMotionTable: TypeAlias = Float[np.ndarray, "K r"]
 #: What a caller may hand over where a table is meant.
 TableLike: TypeAlias = Array | Sequence[VectorLike]
 
