@@ -122,7 +122,8 @@ class ControlLoop:
 
     def _checked(self, values: VectorLike, name: str) -> JointVector:
         try:
-            return vector(values, self._shape[0] if self._shape else None, name)
+            # Side by side in memory, as what is compiled wants them.
+            return np.ascontiguousarray(vector(values, self._shape[0] if self._shape else None, name))
         except InputError as error:
             raise StateError(f"no torque for this state: {error}") from None
 

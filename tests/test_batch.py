@@ -93,6 +93,21 @@ def test_torques_are_those_of_one_state_after_the_other(name, law):
     )
 
 
+def test_near_and_at_a_singularity_the_law_fades_as_it_should(panda):
+    """With a straight elbow the law of one state gives a direction up; the batch must do the same."""
+    task = PoseTask(panda, "panda_hand_tcp")
+    q0 = rest_posture(task)
+    controller = EosController(task, Hold(task.value(q0), task.m))
+    memory = controller.start(0.0, q0, 0.0 * q0)
+    q, dq, _ = states(np.zeros(7), spread=0.03)
+    q[0] = 0.0
+    q[20:] += q0
+    gains = [np.linalg.svd(np.vstack((task.linearize(x)[1], memory.chart.Vt)), compute_uv=False)[-1] for x in q]
+    assert min(gains) < 0.05 < max(gains)
+    one_by_one = np.array([controller.torque(0.0, *state, memory) for state in zip(q, dq, strict=True)])
+    assert_same(control_torques(controller, 0.0, q, dq, memory=memory), one_by_one)
+
+
 def test_states_on_several_charts_or_each_on_its_own(panda):
     task = PositionTask(panda, "panda_hand_tcp")
     q0 = rest_posture(task)
