@@ -74,6 +74,10 @@ class TaskController(Controller):
         feedforward: Whether dz and ddz of the reference are used. Without them the robot is drawn to where the
             reference is, and trails behind it, as set-point regulators do.
         gravity: Whether the controller compensates gravity.
+
+    Raises:
+        RobotError: The robot lacks mass.
+        InputError: The reference does not fit the task, or a gain is no number.
     """
 
     def __init__(
@@ -86,6 +90,7 @@ class TaskController(Controller):
         feedforward: bool = True,
         gravity: bool = True,
     ) -> None:
+        task.robot.check_dynamics()
         self.task, self.reference, self.feedforward, self.gravity = task, reference, feedforward, gravity
         self._model = task.robot if gravity else task.robot.with_gravity(0.0)
         self.kp, self.kd = (

@@ -40,6 +40,7 @@ class MujocoPlant(Robot):
 
     Raises:
         InputError: MuJoCo is not installed, or has no such integrator or joint.
+        RobotError: The robot lacks mass.
     """
 
     integrator: Integrator = "RK4"
@@ -54,6 +55,8 @@ class MujocoPlant(Robot):
             known = ", ".join(get_args(Integrator))
             raise InputError(f"MuJoCo's integrators are {known}; got {self.integrator!r}")
         super().__post_init__()
+        self.check_dynamics()
+        _ = self._mujoco
 
     def mass(self, q: JointVector) -> Float[Array, "n n"]:
         mujoco, model, data = self._mujoco

@@ -125,6 +125,7 @@ class ReduceKineticEnergy(Objective):
     gradient: Literal["velocity", "configuration"] = "velocity"
 
     def __post_init__(self) -> None:
+        self.robot.check_dynamics()
         if self.gradient not in ("velocity", "configuration"):
             raise InputError(f"gradient must be 'velocity' or 'configuration', got {self.gradient!r}")
 

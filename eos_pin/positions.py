@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from eos_pin.arrays import Array, Jacobian, TaskVector
-from eos_pin.errors import InputError
+from eos_pin.errors import InputError, RobotError
 from eos_pin.frames import FrameTask
 from eos_pin.robot import Robot
 from eos_pin.tasks import WORLD, Point, Task
@@ -88,11 +88,19 @@ class ComTask(Task, kind="com"):
     Args:
         robot: The robot.
         axes: Which coordinates count, such as `"xyz"` or `"xy"`.
+
+    Raises:
+        RobotError: Nothing that moves has mass.
     """
 
     arguments = ("axes",)
 
     def __init__(self, robot: Robot, axes: str = "xyz") -> None:
+        if not sum(body.mass for body in list(robot.model.inertias)[1:]) > 0.0:
+            raise RobotError(
+                f"robot {robot.name!r} has no centre of mass: no link that moves has mass. Give the links an "
+                "<inertial>, or choose a task of a frame"
+            )
         self.axes = axes
         self._rows = _rows(axes)
         super().__init__(robot, list(axes), ["m"] * len(axes))

@@ -63,6 +63,8 @@ class HasShapes(Protocol):
 class Robot:
     """A serial robot: n one-degree-of-freedom joints, its inertia, and its shape.
 
+    A robot without inertia has all of kinematics; its dynamics are refused where they are first used.
+
     Made by `eos_pin.load_robot`, or directly from a `pin.Model` whose joints all have one degree of freedom; the
     model is copied, so the caller's stays as it is.
 
@@ -76,8 +78,8 @@ class Robot:
         shapes: What has its visual and its collision geometry, read when first asked for; None without shapes.
 
     Raises:
-        RobotError: No joints, a joint with other than one degree of freedom, branches numbered in a mixed order, or
-            M(q) singular.
+        RobotError: No joints, a joint with other than one degree of freedom, or branches numbered in a mixed order;
+            from every method of dynamics: M(q) is singular.
     """
 
     model: pin.Model
@@ -106,12 +108,6 @@ class Robot:
                     "or load the chain to one frame"
                 )
         self._check_order()
-        random = np.random.default_rng(0)
-        lower, upper = np.maximum(self.lower, -np.pi), np.minimum(self.upper, np.pi)
-        # Inertias that are not physical may show in some postures only; with hundreds of joints one takes long enough.
-        others = [lower + (upper - lower) * random.random(self.n) for _ in range(4)] if self.n <= 100 else []
-        for q in (np.clip(np.zeros(self.n), self.lower, self.upper), *others):
-            self._check_inertia(q)
 
     def _check_order(self) -> None:
         """Refuse branches whose joints are not numbered one branch after the other."""
@@ -126,30 +122,6 @@ class Robot:
                     "branch to the model before those of the next, as loading a URDF does"
                 )
             path.append(i)
-
-    def _check_inertia(self, q: JointVector) -> None:
-        """Refuse a model whose mass matrix cannot be inverted, and name the joints that move no mass."""
-        M = self.mass(q)
-        names = self.model.names
-        weightless = [names[i + 1] for i in range(self.n) if not M[i, i] > 0.0]
-        where = f"at q = {np.array2string(q, precision=3, threshold=20, max_line_width=1000)}"
-        if not np.isfinite(M).all():
-            raise RobotError(
-                f"robot {self.name!r} has a mass matrix that is not finite {where}: check the <inertial> elements"
-            )
-        if weightless:
-            more = f" and {len(weightless) - 8} more" if len(weightless) > 8 else ""
-            raise RobotError(
-                f"robot {self.name!r} cannot be controlled by torque: joints {', '.join(weightless[:8])}{more} move "
-                f"no mass (M(q) is singular {where}). Give the links beyond them an <inertial>, or lock these joints"
-            )
-        scale = 1.0 / np.sqrt(np.diag(M))
-        eigenvalues = np.linalg.eigvalsh(M * scale * scale[:, None])
-        if not eigenvalues[0] > SINGULAR_MASS * eigenvalues[-1]:
-            raise RobotError(
-                f"robot {self.name!r} has a mass matrix that is not positive definite {where} (eigenvalues from "
-                f"{eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g} after scaling): check the <inertial> elements"
-            )
 
     # -- what the robot is ---------------------------------------------------------------------------------------
 
@@ -238,40 +210,97 @@ class Robot:
 
     @cached_property
     def _data(self) -> pin.Data:
+        """Workspace for kinematics."""
         return workspace(self.model)
+
+    @cached_property
+    def _dynamics(self) -> pin.Data:
+        """The same workspace for dynamics; whoever asks for it first has the inertia checked."""
+        self.check_dynamics()
+        return self._data
+
+    def check_dynamics(self) -> None:
+        """Refuse a robot whose equations of motion cannot be solved; every method of dynamics does so by itself.
+
+        Raises:
+            RobotError: M(q) is singular or not finite; names the joints, and the links without mass.
+        """
+        if self.lacks_dynamics:
+            raise RobotError(self.lacks_dynamics)
+
+    @cached_property
+    def lacks_dynamics(self) -> str:
+        """Why there are no dynamics, in a sentence; empty where M(q) can be inverted."""
+        random = np.random.default_rng(0)
+        lower, upper = np.maximum(self.lower, -np.pi), np.minimum(self.upper, np.pi)
+        # Inertias that are not physical may show in some postures only; with hundreds of joints one takes long enough.
+        others = [lower + (upper - lower) * random.random(self.n) for _ in range(4)] if self.n <= 100 else []
+        postures = (np.clip(np.zeros(self.n), self.lower, self.upper), *others)
+        return next((problem for q in postures if (problem := self._bad_inertia(q))), "")
+
+    def _bad_inertia(self, q: JointVector) -> str:
+        """Why the mass matrix cannot be inverted at q, with the joints that move no mass; empty if it can."""
+        M = pin.crba(self.model, self._data, q, pin.Convention.WORLD)
+        where = f"at q = {np.array2string(q, precision=3, threshold=20, max_line_width=1000)}"
+        if not np.isfinite(M).all():
+            return f"robot {self.name!r} has a mass matrix that is not finite {where}: check the <inertial> elements"
+        weightless = [i + 1 for i in range(self.n) if not M[i, i] > 0.0]
+        if weightless:
+            beyond = {joint for i in weightless for joint in self.model.subtrees[i]}
+            links = [
+                frame.name
+                for frame in self.model.frames
+                if frame.type == pin.FrameType.BODY
+                and frame.parentJoint in beyond
+                and not self.model.inertias[frame.parentJoint].mass > 0.0
+            ]
+            advice = f"give mass and inertia to links {_listed(links)}" if links else "check the <inertial> elements"
+            return (
+                f"robot {self.name!r} cannot be controlled by torque: joints "
+                f"{_listed([self.model.names[i] for i in weightless])} move no mass (M(q) is singular {where}). "
+                f"For dynamics, {advice}, or lock these joints; kinematics needs none"
+            )
+        scale = 1.0 / np.sqrt(np.diag(M))
+        eigenvalues = np.linalg.eigvalsh(M * scale * scale[:, None])
+        if not eigenvalues[0] > SINGULAR_MASS * eigenvalues[-1]:
+            return (
+                f"robot {self.name!r} has a mass matrix that is not positive definite {where} (eigenvalues from "
+                f"{eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g} after scaling): check the <inertial> elements"
+            )
+        return ""
 
     def mass(self, q: JointVector) -> Float[Array, "n n"]:
         """Mass matrix M(q), symmetric; Eq. (5)."""
-        return pin.crba(self.model, self._data, q, pin.Convention.WORLD)
+        return pin.crba(self.model, self._dynamics, q, pin.Convention.WORLD)
 
     def bias(self, q: JointVector, dq: JointVector) -> JointVector:
         """Coriolis, centrifugal and gravity torque C(q, dq) dq + g(q) = −R [N m or N]; R as in Eq. (24)."""
-        return pin.nonLinearEffects(self.model, self._data, q, dq)
+        return pin.nonLinearEffects(self.model, self._dynamics, q, dq)
 
     def gravity(self, q: JointVector) -> JointVector:
         """Gravity torque g(q) = −Q^y [N m or N]; Eq. (5)."""
-        return pin.computeGeneralizedGravity(self.model, self._data, q)
+        return pin.computeGeneralizedGravity(self.model, self._dynamics, q)
 
     def inverse_dynamics(self, q: JointVector, dq: JointVector, ddq: JointVector) -> JointVector:
         """Torque M ddq − R that causes the acceleration `ddq` [N m or N]; Eq. (24) without F^z."""
-        return pin.rnea(self.model, self._data, q, dq, ddq)
+        return pin.rnea(self.model, self._dynamics, q, dq, ddq)
 
     def forward_dynamics(self, q: JointVector, dq: JointVector, tau: JointVector) -> JointVector:
         """Acceleration M⁻¹ (R + tau) [rad/s² or m/s²]; Eq. (31). Add J.T @ F^z to `tau` for a force on the task."""
-        return pin.aba(self.model, self._data, q, dq, tau)
+        return pin.aba(self.model, self._dynamics, q, dq, tau)
 
     def kinetic_energy(self, q: JointVector, dq: JointVector) -> float:
         """Kinetic energy ½ dqᵀ M dq [J]."""
-        return float(pin.computeKineticEnergy(self.model, self._data, q, dq))
+        return float(pin.computeKineticEnergy(self.model, self._dynamics, q, dq))
 
     def potential_energy(self, q: JointVector) -> float:
         """Potential energy of gravity [J]."""
-        return float(pin.computePotentialEnergy(self.model, self._data, q))
+        return float(pin.computePotentialEnergy(self.model, self._dynamics, q))
 
     def energy_slope(self, q: JointVector, dq: JointVector) -> JointVector:
         """Slope ∂T/∂q of the kinetic energy at constant dq [N m or N]."""
         # Ṁ = C + Cᵀ and C dq = Ṁ dq − ∂T/∂q leave Cᵀ dq.
-        return pin.computeCoriolisMatrix(self.model, self._data, q, dq).T @ dq
+        return pin.computeCoriolisMatrix(self.model, self._dynamics, q, dq).T @ dq
 
     def placement(self, q: JointVector, frame: str) -> pin.SE3:
         """Pose of `frame` in the world."""
@@ -322,10 +351,15 @@ class Robot:
 
     def __getstate__(self) -> dict[str, Any]:
         # The workspace is made anew where the robot is unpickled.
-        return {key: value for key, value in self.__dict__.items() if key != "_data"}
+        return {key: value for key, value in self.__dict__.items() if key not in ("_data", "_dynamics")}
 
     def __repr__(self) -> str:
         return f"Robot({self.name!r}, n={self.n})"
+
+
+def _listed(names: list[str], most: int = 8) -> str:
+    """The first names, and how many more there are."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def find_frame(model: pin.Model, name: str) -> int:

@@ -94,6 +94,7 @@ class System(ABC):
     def __init__(
         self, plant: Robot, controller: Controller, task_force: TaskForce | None, friction: Friction | None = None
     ) -> None:
+        plant.check_dynamics()
         robot = getattr(controller, "robot", plant)
         if robot.n != plant.n:
             raise InputError(f"the controller is for {robot.n} joints, the plant {plant.name!r} has {plant.n}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 
 import numpy as np
 import pinocchio as pin
@@ -212,10 +213,6 @@ def chain(n, inertia=None):
 def test_robots_that_cannot_be_controlled_are_refused():
     with pytest.raises(RobotError, match="no moving joints"):
         Robot(pin.Model())
-    weightless = chain(2)
-    weightless.inertias[2] = pin.Inertia.Zero()
-    with pytest.raises(RobotError, match=r"joints j1 move no mass"):
-        Robot(weightless)
     floating = pin.Model()
     floating.appendBodyToJoint(
         floating.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base"),
@@ -224,30 +221,75 @@ def test_robots_that_cannot_be_controlled_are_refused():
     )
     with pytest.raises(RobotError, match="nq = 7, nv = 6"):
         Robot(floating)
-    strange = chain(1, pin.Inertia(1.0, np.full(3, np.nan), np.eye(3)))
-    with pytest.raises(RobotError, match="not finite"):
-        Robot(strange)
-    # Two sliders along one line carry one mass: each moves it, but both together are one too many.
-    double = pin.Model()
-    first = double.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "a")
-    second = double.addJoint(first, pin.JointModelPX(), pin.SE3.Identity(), "b")
-    double.appendBodyToJoint(second, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    with pytest.raises(RobotError, match="not positive definite"):
-        Robot(double)
 
 
-def test_inertia_that_is_bad_in_some_postures_only_is_refused():
+def slides():
+    """Two sliders along one line carry one mass: each moves it, but both together are one too many."""
+    model = pin.Model()
+    first = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "a")
+    second = model.addJoint(first, pin.JointModelPX(), pin.SE3.Identity(), "b")
+    model.appendBodyToJoint(second, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    return model
+
+
+def turned_into_less_than_nothing():
+    """About z it is light at 0, and worth less than nothing when joint b has turned it by a right angle."""
     model = pin.Model()
     first = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "a")
     second = model.addJoint(first, pin.JointModelRX(), pin.SE3.Identity(), "b")
     model.appendBodyToJoint(first, pin.Inertia(1.0, np.zeros(3), np.diag([1.0, 1.0, 1.0])), pin.SE3.Identity())
-    # About z it is light at 0, and worth less than nothing when joint b has turned it by a right angle.
     odd = pin.Inertia(1.0, np.zeros(3), np.eye(3))
     odd.inertia = np.diag([1.0, -2.0, 1.0])
     model.appendBodyToJoint(second, odd, pin.SE3.Identity())
     model.lowerPositionLimit[:], model.upperPositionLimit[:] = -3.0, 3.0
-    with pytest.raises(RobotError, match=r"no mass \(M\(q\) is singular at q = \[.*\d.*\]\)"):
-        Robot(model)
+    return model
+
+
+def weightless_end():
+    model = chain(2)
+    model.addBodyFrame("hand", 2, pin.SE3.Identity(), -1)
+    model.inertias[2] = pin.Inertia.Zero()
+    return model
+
+
+DYNAMICS = {
+    "mass": lambda robot, q: robot.mass(q),
+    "bias": lambda robot, q: robot.bias(q, q),
+    "gravity": lambda robot, q: robot.gravity(q),
+    "inverse_dynamics": lambda robot, q: robot.inverse_dynamics(q, q, q),
+    "forward_dynamics": lambda robot, q: robot.forward_dynamics(q, q, q),
+    "kinetic_energy": lambda robot, q: robot.kinetic_energy(q, q),
+    "potential_energy": lambda robot, q: robot.potential_energy(q),
+    "energy_slope": lambda robot, q: robot.energy_slope(q, q),
+    "of a copy": lambda robot, q: pickle.loads(pickle.dumps(robot)).with_gravity(0.0).mass(q),
+}
+
+
+@pytest.mark.parametrize("use", DYNAMICS.values(), ids=DYNAMICS)
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (weightless_end(), "joints j1 move no mass .* give mass and inertia to links hand, or lock"),
+        (turned_into_less_than_nothing(), r"no mass \(M\(q\) is singular at q = \[.*\d.*\]\)\. For dynamics, check"),
+        (chain(1, pin.Inertia(1.0, np.full(3, np.nan), np.eye(3))), "not finite"),
+        (slides(), "not positive definite"),
+    ],
+    ids=["no mass", "negative in some postures", "not finite", "one slider too many"],
+)
+def test_dynamics_of_a_robot_that_lacks_them_are_refused_and_its_kinematics_are_not(model, message, use):
+    robot = Robot(model)
+    with pytest.raises(RobotError, match=message):
+        use(robot, np.full(robot.n, 0.1))
+    with pytest.raises(RobotError, match=message):
+        robot.check_dynamics()
+    assert re.search(message, robot.lacks_dynamics)
+    assert robot.placement(np.zeros(robot.n), robot.frames[-1]).translation.shape == (3,)
+
+
+def test_a_robot_with_mass_lacks_no_dynamics():
+    robot = Robot(chain(3))
+    assert robot.lacks_dynamics == ""
+    robot.check_dynamics()
 
 
 def test_branches_in_a_mixed_order_are_refused_because_pinocchio_gets_them_wrong():
