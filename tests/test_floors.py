@@ -16,6 +16,7 @@ TABLE = """
     0 ground    errors
                 arrays
                 files
+                waypoints
                 compiled
     1 robot     workspace       pinocchio
                 robot           pinocchio
