@@ -67,6 +67,12 @@ from .simulation import SensorNoise as SensorNoise
 from .simulation import simulate as simulate
 from .simulation import simulate_eos as simulate_eos
 from .simulation import simulate_sampled as simulate_sampled
+from .splines import Geodesic as Geodesic
+from .splines import cubic_spline as cubic_spline
+from .splines import minimum_jerk as minimum_jerk
+from .splines import pose_spline as pose_spline
+from .splines import rotation_spline as rotation_spline
+from .splines import spline_from_csv as spline_from_csv
 from .sweeps import Trial as Trial
 from .sweeps import sweep as sweep
 from .sweeps import trials as trials
@@ -80,14 +86,12 @@ from .tasks import StackedTask as StackedTask
 from .tasks import Task as Task
 from .tasks import TaskPoint as TaskPoint
 from .tasks import task_from as task_from
-from .trajectories import Geodesic as Geodesic
 from .trajectories import Harmonic as Harmonic
 from .trajectories import StackedTrajectory as StackedTrajectory
 from .trajectories import circle as circle
-from .trajectories import cubic_spline as cubic_spline
 from .trajectories import figure_eight as figure_eight
 from .trajectories import line as line
-from .trajectories import minimum_jerk as minimum_jerk
-from .trajectories import spline_from_csv as spline_from_csv
+from .waypoints import Waypoints as Waypoints
+from .waypoints import read_waypoints as read_waypoints
 
 __version__: str

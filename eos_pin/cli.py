@@ -225,7 +225,7 @@ def ik(
     """
     from eos_pin.atlas import Atlas
     from eos_pin.recording import joint_run
-    from eos_pin.trajectories import spline_from_csv
+    from eos_pin.splines import spline_from_csv
 
     machine = robot.load()
     goal, q = task.make(machine)

@@ -115,8 +115,9 @@ class PathOptions:
     def make(self, task: Task, q: JointVector) -> Trajectory:
         """The path, through the task point at q unless a file says otherwise."""
         from eos_pin.presets import fitting_path
+        from eos_pin.splines import spline_from_csv
         from eos_pin.targets import Hold
-        from eos_pin.trajectories import StackedTrajectory, spline_from_csv
+        from eos_pin.trajectories import StackedTrajectory
 
         if self.path.lower().endswith(".csv"):
             spline = spline_from_csv(self.path)

@@ -37,10 +37,14 @@ class Trajectory(ABC):
     Attributes:
         period: Time after which it repeats [s]; infinite if it does not.
         duration: Time after which it rests [s]; infinite if it never does.
+        begin: Time until which it rests [s].
+        notes: What was chosen or changed when it was made from a file, in sentences for people.
     """
 
     period: float = math.inf
     duration: float = math.inf
+    begin: float = 0.0
+    notes: tuple[str, ...] = ()
 
     @abstractmethod
     def __call__(self, t: float) -> Target:

@@ -36,7 +36,8 @@ TABLE = """
                 atlas
     3 motion    dynamics        scipy
                 targets
-                trajectories    scipy
+                trajectories
+                splines         scipy
                 objectives
                 avoidance
     4 control   driving         scipy

@@ -281,18 +281,21 @@ def test_spline_from_csv(tmp_path):
         path.write_bytes(text.encode())
         spline = spline_from_csv(path)
         for t in (0.5, 1.0, 2.2, 4.0):
-            np.testing.assert_allclose(spline(t).z, KINDS["open spline"](t).z, atol=1e-14)
+            np.testing.assert_allclose(spline(t - 0.5).z, KINDS["open spline"](t).z, atol=1e-14)
+        assert "begin at 0.5 s" in spline.notes[0]
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("t,x\n0,1\n1,two\n", r"line 3: every entry must be a number, got \['1', 'two'\]"),
-        ("t,x\n0,1\n\n1,2,3\n", r"line 4: expected 2 columns \(t, z1, …, zm\), got 3"),
-        ("0\n1\n", "line 1: expected 2 columns"),
-        ("t,x\n0,1\n", "at least two rows t, z1, …, zm; found 1"),
-        ("", "at least two rows"),
-        ("t,x\n0,1\n0,2\n", r"path\.csv, line 3: the times must increase, got 0\.0 after 0\.0"),
+        ("t,x\n0,1\n1,two\n", "line 3: every entry must be a number, got 'two' in column x"),
+        ("t,x\n0,1\n\n1,2,3\n", r"line 4: expected 2 columns \(t, x\), got 3"),
+        ("0\n1\n", "line 1: one column only"),
+        ("t,x\n0,1\n", "at least two rows; found 1"),
+        ("", "no rows of numbers"),
+        ("x\n0\n1\n", "takes columns t, and x, y, z .* path_from_csv also takes poses"),
+        ("t,qw,qx,qy,qz\n0,1,0,0,0\n1,1,0,0,0\n", "path_from_csv also takes poses"),
+        ("t,x\n0,1\n0,2\n", r"path\.csv, line 3: the times must increase, got 0 after 0"),
         ("t,x\n0,1\n1,nan\n", "line 3: every entry must be finite"),
     ],
 )
@@ -306,6 +309,6 @@ def test_errors_in_a_csv_file_name_the_line(tmp_path, text, message):
 def test_a_csv_file_that_cannot_be_read(tmp_path):
     with pytest.raises(InputError, match=r"cannot read the path .*missing\.csv"):
         spline_from_csv(tmp_path / "missing.csv")
-    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x01")
+    (tmp_path / "binary.csv").write_bytes(b"\x80\x81\x00\x01")
     with pytest.raises(InputError, match="cannot read the path"):
         spline_from_csv(tmp_path / "binary.csv")
