@@ -6,13 +6,14 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import tyro
 
-from eos_pin.arrays import JointVector, vector
-from eos_pin.errors import EosError, InputError, SingularError
+from eos_pin.arrays import vector
+from eos_pin.describing import info
+from eos_pin.errors import EosError, InputError
 from eos_pin.files import write_atomically
 from eos_pin.library import available_robots
 from eos_pin.options import ControllerName, ControlOptions, PathOptions, RobotOptions, RunOptions, TaskOptions
@@ -24,6 +25,7 @@ from eos_pin.report import (
     grid,
     run_table,
     say_files,
+    say_notes,
     scene_of,
     show,
     stderr,
@@ -36,7 +38,6 @@ from eos_pin.sweeping import sweep
 if TYPE_CHECKING:
     from eos_pin.atlas import JointPath
     from eos_pin.results import Result
-    from eos_pin.robot import Robot
     from eos_pin.tasks import Task
 
 
@@ -60,6 +61,7 @@ def track(
       eos-pin track panda --rate 1000 --noise 1e-5 --model-error 0.1 --torque-limits
     """
     machine = robot.load()
+    say_notes(machine)
     goal, q = task.make(machine)
     reference = path.make(goal, q)
     controller = control.make(goal, reference, q, simulation.period)
@@ -105,6 +107,7 @@ def compare(
       eos-pin compare panda --task pose --controllers eos null-space-posture --cycles 10
     """
     machine = robot.load()
+    say_notes(machine)
     goal, q = task.make(machine)
     reference = path.make(goal, q)
     duration = path.length(reference)
@@ -141,61 +144,6 @@ def compare(
     return 0 if first.ok else 1
 
 
-def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output = Output()) -> int:
-    """Say what a robot is: joints, limits, frames, redundancy for a task, and what to try.
-
-    For example:
-
-      eos-pin info panda
-      eos-pin info path/to/robot.urdf --frame tool0 --task pose
-    """
-    from eos_pin.charts import Chart
-    from eos_pin.loading import leaf_frames
-
-    machine = robot.load()
-    goal, q = task.make(machine)
-    z, J = goal.linearize(q)
-    sigma = np.linalg.svd(J, compute_uv=False)
-    title = f"{machine.name}: {machine.n} joints to {machine.options['chain_to']} ({machine.source})"
-    columns = ("joint", "kind", "lower", "upper", "velocity", "effort", "start")
-    rows = [
-        (joint.name, joint.kind, joint.lower, joint.upper, joint.velocity, joint.effort, f"{value:.3f}")
-        for joint, value in zip(machine.joints, q, strict=True)
-    ]
-    console.print(grid(title, columns, rows))
-    console.print(f"Task: {goal!r}: m = {goal.m}, redundancy r = n - m = {machine.n - goal.m}")
-    console.print(f"Singular values of G' at the start: {', '.join(figure(s) for s in sigma)}")
-    console.print(f"Ends of branches: {', '.join(leaf_frames(machine))}")
-    console.print(f"All frames: {', '.join(machine.frames)}")
-    for note in machine.notes:
-        console.print(f"Note: {note}")
-    singular = ""
-    try:
-        Chart.at(goal, q)
-    except SingularError as error:
-        singular = str(error)
-        console.print(f"Warning: {singular}")
-    console.print(f"Try: eos-pin track {robot.robot}{f' --frame {robot.frame}' if robot.frame else ''}")
-    figures = {
-        "robot": machine.name,
-        "source": machine.source,
-        "frame": machine.options["chain_to"],
-        "n": machine.n,
-        "m": goal.m,
-        "r": machine.n - goal.m,
-        "joints": [vars(joint) for joint in machine.joints],
-        "start": q,
-        "z": z,
-        "singular_values": sigma,
-        "singular": singular,
-        "frames": machine.frames,
-        "leaf_frames": leaf_frames(machine),
-        "notes": machine.notes,
-    }
-    say_files(_still(output, machine, goal, q, figures))
-    return 0
-
-
 def ik(
     robot: RobotOptions,
     task: TaskOptions = TaskOptions(),
@@ -228,6 +176,7 @@ def ik(
     from eos_pin.splines import spline_from_csv
 
     machine = robot.load()
+    say_notes(machine)
     goal, q = task.make(machine)
     v_goal = vector(v, machine.n - goal.m, "v") if v else None
     z0 = goal.value(q)
@@ -382,18 +331,6 @@ def _whole(task: Task, z: np.ndarray, z0: np.ndarray) -> np.ndarray:
     if z.size > task.size:
         raise InputError(f"the task point must be up to {task.size} numbers ({', '.join(task.labels)}), got {z.size}")
     return task.point(np.concatenate((z, z0[z.size :])))
-
-
-def _still(output: Output, robot: Robot, task: Task, q: JointVector, figures: dict[str, Any]) -> list[Path]:
-    """Files that show a robot at rest."""
-    from eos_pin.recording import joint_run
-
-    files = output.within(None, names={"json": "info.json", "html": "robot.html", "plot": "robot.png"})
-    result = joint_run(task, np.zeros(1), q[None], task.value(q)[None])
-    written = deliver(replace(files, out=None), result, robot, figures=figures)
-    if output.view:
-        show(scene_of(result, robot), result)
-    return written
 
 
 if __name__ == "__main__":

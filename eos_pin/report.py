@@ -196,6 +196,12 @@ def say_files(files: Sequence[Path]) -> None:
         console.print("Wrote " + ", ".join(str(file) for file in files), soft_wrap=True)
 
 
+def say_notes(robot: Robot) -> None:
+    """Say on the terminal, beside the results, what loading a robot changed, could not find or found odd."""
+    for note in robot.notes:
+        stderr.print(f"Note: {note}", markup=False, soft_wrap=True)
+
+
 def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
     """Table whose numbers stand right and whose words stand left."""
     filled = [[figure(cell) if isinstance(cell, float) else str(cell) for cell in row] for row in rows]

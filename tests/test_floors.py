@@ -72,6 +72,7 @@ TABLE = """
                 encounters      coal matplotlib
                 exhibits        rich
                 sweeping        rich tyro
+                describing
                 cli             tyro
 """
 
