@@ -10,11 +10,11 @@ setup(
     ext_modules=[
         Extension(
             f"eos_pin.{name}",
-            [f"eos_pin/{name}.pyx"],
+            [f"eos_pin/{name.replace('.', '/')}.pyx"],
             include_dirs=[np.get_include()],
             define_macros=[("NPY_NO_DEPRECATED_API", "NPY_2_0_API_VERSION")],
             optional=True,
         )
-        for name in ("_fast_law", "_fast_parts")
+        for name in ("_fast_law", "_fast_parts", "_kernels._chain")
     ]
 )

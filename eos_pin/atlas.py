@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain as chained
+from functools import cache
 from itertools import islice, pairwise
 from typing import Any, Literal, TypeAlias
 
@@ -28,7 +28,7 @@ from eos_pin.arrays import (
 )
 from eos_pin.charts import Chart
 from eos_pin.errors import InputError, InverseError, SingularError
-from eos_pin.newton import Descent, Inverse, descend, walk
+from eos_pin.newton import Inverse, walk
 from eos_pin.robot import Robot
 from eos_pin.tasks import Point, PointLike, Task
 
@@ -266,8 +266,9 @@ class Atlas:
                 moved = attempt.found
         if "jump" in ways:
             anything = np.full(robot.n, np.inf)
+            starts = cache(lambda: np.reshape([*islice(_postures(robot, seed), tries)], (tries, robot.n)))
             for bounds in ((robot.lower, robot.upper), (-anything, anything)):
-                yield self._jump(chained([q], islice(_postures(robot, seed), tries)), z, bounds, tol)
+                yield self._jump(q, z, bounds, starts, tol)
                 if moved:
                     break
 
@@ -299,16 +300,22 @@ class Atlas:
         return self._reached(found.q[-1] if len(found.q) else q, way, found, corners[-1], found.message)
 
     def _jump(
-        self, starts: Iterable[JointVector], z: Point, bounds: tuple[JointVector, JointVector], tol: float
+        self, q: JointVector, z: Point, bounds: tuple[JointVector, JointVector], starts: Callable[[], Array], tol: float
     ) -> Reached:
-        """Search from one posture after the other."""
-        best = Descent(np.empty(0), np.inf, 0)
-        for q in starts:
-            best = min(best, descend(self.task, q, z, bounds, tol=tol), key=lambda found: found.residual)
-            if best.residual <= tol:
-                return self._reached(best.q, "jump", None, z, "")
-        message = f"no posture that was tried leads there: it is out of reach, by {best.residual:.3g} or less"
-        return self._reached(best.q, "jump", None, z, message)
+        """Search from q, then from one posture after the other."""
+        lower, upper = bounds
+        found = self.task.kinematics.first(q[None], z, lower=lower, upper=upper, tol=tol)
+        if not found.found[-1] and len(starts()):
+            others = self.task.kinematics.first(starts(), z, lower=lower, upper=upper, tol=tol)
+            if others.residual.min() < found.residual[0]:
+                found = others
+        best = int(found.residual.argmin())
+        message = ""
+        if not found.found[best]:
+            message = (
+                f"no posture that was tried leads there: it is out of reach, by {found.residual[best]:.3g} or less"
+            )
+        return self._reached(found.q[best], "jump", None, z, message)
 
     def _reached(self, q: JointVector, way: Way, path: JointPath | None, z: Point, message: str) -> Reached:
         robot = self.task.robot

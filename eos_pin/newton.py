@@ -1,4 +1,4 @@
-"""Newton's method for u = h(z, v), walks to where it does not converge at once, search without charts; Sec. 3.6."""
+"""Newton's method for u = h(z, v), and walks to where it does not converge at once; Sec. 3.6."""
 
 from __future__ import annotations
 
@@ -15,13 +15,6 @@ from eos_pin.arrays import Array, Jacobian, JointVector, SelfMotionVector, TaskV
 from eos_pin.compiled import twin
 from eos_pin.linear import is_odd
 from eos_pin.tasks import Point, Task
-
-#: Damping at the start of a search: μ in μ e·e; and what is always added, lest J Jᵀ be singular.
-DAMPING, FLOOR = 0.01, 1e-14
-#: Longest step of one joint in a search [rad or m].
-LONGEST = 1.0
-#: So many steps in a row that gain less than a tenth end a search.
-PATIENCE = 6
 
 
 class Inverse(NamedTuple):
@@ -156,67 +149,3 @@ def walk(
         else:
             step *= 0.5
     return reached
-
-
-class Descent(NamedTuple):
-    """Where a search ended.
-
-    Attributes:
-        q: Joints [rad or m].
-        residual: Task error that is left, the largest entry [m, rad].
-        iterations: Steps that were tried.
-    """
-
-    q: JointVector
-    residual: float
-    iterations: int
-
-
-def descend(
-    task: Task,
-    q: JointVector,
-    z: Point,
-    bounds: tuple[JointVector, JointVector],
-    *,
-    tol: float,
-    max_iterations: int = 60,
-) -> Descent:
-    """Joints at a task point, by Levenberg and Marquardt's method within bounds; it ends early where it gets stuck.
-
-    The step Jᵀ(J Jᵀ + μ e·e)⁻¹e, with e the error left, is Newton's shortest near a solution and a small one downhill
-    far away. Joints that it would push across their bounds stay where they are.
-
-    Args:
-        task: The task.
-        q: Where to begin.
-        z: Task point to reach.
-        bounds: Least and largest value of each joint.
-        tol: Largest task error that may be left [m, rad].
-        max_iterations: Most steps.
-    """
-    lower, upper = bounds
-    q = np.minimum(np.maximum(q, lower), upper)
-    z_q, J = task.linearize(q)
-    error = task.minus(z, z_q)
-    square, mu, slow, iteration = float(error.dot(error)), DAMPING, 0, 0
-    while max(map(abs, error.tolist())) > tol and iteration < max_iterations and slow < PATIENCE:
-        iteration += 1
-        uphill = J.T.dot(error)
-        stuck = (q <= lower) & (uphill < 0.0) | (q >= upper) & (uphill > 0.0)
-        free = np.where(stuck, 0.0, J) if stuck.any() else J
-        A = free.dot(free.T)
-        A.flat[:: task.m + 1] += mu * square + FLOOR
-        step = free.T.dot(lapack.dposv(A, error)[1])
-        longest = max(map(abs, step.tolist()))
-        if longest > LONGEST:
-            step *= LONGEST / longest
-        ahead = np.minimum(np.maximum(q + step, lower), upper)
-        z_q, J_ahead = task.linearize(ahead)
-        error_ahead = task.minus(z, z_q)
-        square_ahead = float(error_ahead.dot(error_ahead))
-        slow = 0 if square_ahead < 0.9 * square else slow + 1
-        if square_ahead < square:
-            q, J, error, square, mu = ahead, J_ahead, error_ahead, square_ahead, 0.25 * mu
-        else:
-            mu *= 8.0
-    return Descent(q, max(map(abs, error.tolist())), iteration)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pinocchio as pin
 
+from eos_pin._kernels.flat import Part
 from eos_pin.arrays import Array, Jacobian, TaskVector, Vector, numbers, readonly, vector
 from eos_pin.compiled import twin
 from eos_pin.errors import InputError
@@ -33,6 +34,9 @@ class OrientationTask(FrameTask, kind="orientation"):
 
     def __init__(self, robot: Robot, frame: str) -> None:
         super().__init__(robot, frame, ("rx", "ry", "rz"), ["rad"] * 3, slice(3, None), slice(3, None))
+
+    def frame_parts(self) -> tuple[Part, ...]:
+        return (Part("orientation", self._id),)
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return pin.log3(z1.reshape(3, 3).dot(z0.reshape(3, 3).T))
@@ -68,6 +72,9 @@ class PoseTask(FrameTask, kind="pose"):
     def __init__(self, robot: Robot, frame: str) -> None:
         labels, units = ("x", "y", "z", "rx", "ry", "rz"), ["m"] * 3 + ["rad"] * 3
         super().__init__(robot, frame, labels, units, slice(None), slice(None))
+
+    def frame_parts(self) -> tuple[Part, ...]:
+        return (Part("pose", self._id),)
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return pose_difference(z1, z0)
@@ -127,6 +134,9 @@ class HeadingTask(Task, kind="heading"):
 
     def _drift(self, data: pin.Data) -> TaskVector:
         return pin.getFrameClassicalAcceleration(self._model, data, self._id, WORLD).angular[2:]
+
+    def frame_parts(self) -> tuple[Part, ...]:
+        return (Part("heading", self._id),)
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return np.array([math.remainder(z1[0] - z0[0], math.tau)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from eos_pin._kernels.flat import Part
 from eos_pin.arrays import Array, Jacobian, TaskVector
 from eos_pin.errors import InputError, RobotError
 from eos_pin.frames import FrameTask
@@ -26,6 +27,9 @@ class PositionTask(FrameTask, kind="position"):
     def __init__(self, robot: Robot, frame: str, axes: str = "xyz") -> None:
         self.axes, rows = axes, _rows(axes)
         super().__init__(robot, frame, list(axes), ["m"] * len(axes), rows, rows)
+
+    def frame_parts(self) -> tuple[Part, ...]:
+        return (Part("position", self._id, tuple(range(3)[self._part])),)
 
 
 class RelativePositionTask(Task, kind="relative_position"):

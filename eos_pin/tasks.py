@@ -11,13 +11,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from eos_pin._kernels.flat import Part
+from eos_pin._kernels.kinematics import Kinematics
 from eos_pin.arrays import Array, Jacobian, JointVector, TaskVector, vector
 from eos_pin.errors import InputError, UnknownNameError
 from eos_pin.robot import Robot
@@ -133,6 +135,21 @@ class Task(ABC):
     def _drift(self, data: pin.Data) -> TaskVector:
         """Drift, after a pass at zero joint acceleration."""
 
+    # -- many states at once -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def kinematics(self) -> Kinematics:
+        """Task points, Jacobians and searches for many states at once, compiled where the task is made of frames."""
+        return Kinematics(self)
+
+    def frame_parts(self) -> tuple[Part, ...] | None:
+        """Frames and what of their poses is the task, for compiled kinematics; None where it is something else."""
+        return None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Compiled kinematics are made anew where the task is unpickled.
+        return {key: value for key, value in self.__dict__.items() if key != "kinematics"}
+
     # -- the group the points live in; a vector space unless a task says otherwise ----------------------------------
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
@@ -205,6 +222,10 @@ class StackedTask(Task, kind="stacked"):
 
     def _drift(self, data: pin.Data) -> TaskVector:
         return np.concatenate([task._drift(data) for task in self.tasks])
+
+    def frame_parts(self) -> tuple[Part, ...] | None:
+        parts = [task.frame_parts() for task in self.tasks]
+        return None if None in parts else tuple(part for some in parts for part in some or ())
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return np.concatenate([task.minus(z1[p], z0[p]) for task, p, _ in self._slices])

@@ -1,0 +1,242 @@
+"""Kinematics of a task on many states at once, compiled where that is possible."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from eos_pin._kernels.flat import Part, chain_arguments, flat_model
+from eos_pin._kernels.plain import PlainChain, TaskFunctions
+from eos_pin.arrays import Array, JointVector
+from eos_pin.compiled import kernels
+from eos_pin.errors import EosError, InputError
+
+#: Largest difference from Pinocchio that is rounding, relative to the robot's reach and to 1 rad.
+ROUNDING = 1e-11
+#: States that are compared with Pinocchio when a task is first used.
+COMPARED = 16
+
+
+@runtime_checkable
+class FramedTask(TaskFunctions, Protocol):
+    """A task and, where it is made of frames, its parts."""
+
+    robot: Any
+
+    def frame_parts(self) -> tuple[Part, ...] | None:
+        """Frames and what of their poses is the task; None where it is something else."""
+
+
+class Found(NamedTuple):
+    """Joints that a search ended at, one row for each start that was tried.
+
+    Attributes:
+        q: Joints, (K, n).
+        residual: Task error that is left, the largest entry, (K,) [m, rad].
+        steps: Steps that were tried, (K,).
+        found: Whether the residual is within the tolerance, (K,).
+    """
+
+    q: Float[Array, "K n"]
+    residual: Float[Array, " K"]
+    steps: Int[Array, " K"]
+    found: Bool[Array, " K"]
+
+
+class Kinematics:
+    """Task points, Jacobians and searches for many states at once; `Task.kinematics` holds it.
+
+    The kernel is compared with the task, which asks Pinocchio, on random states when it is made, and every point that a
+    search finds is computed once more by the task. One object is for one thread.
+
+    Args:
+        task: The task.
+
+    Attributes:
+        task: The task.
+        n: Number of joints.
+        m: Dimension of the task.
+        compiled: Whether the compiled kernel computes.
+        revolute: Which joints turn, (n,).
+
+    Raises:
+        EosError: The kernel and the task differ.
+    """
+
+    def __init__(self, task: FramedTask) -> None:
+        self.task = task
+        self.n, self.m, self.size = int(task.robot.n), task.m, task.size
+        self._plain = PlainChain(task, self.n)
+        self._chain: Any = self._plain
+        parts = task.frame_parts()
+        arguments = chain_arguments(task.robot.model, parts) if kernels and parts else None
+        if arguments is not None and self.n <= kernels.LARGEST[0] and self.m <= kernels.LARGEST[1]:
+            self._chain = kernels.Chain(*arguments)
+            self._compare()
+        self.compiled = self._chain is not self._plain
+
+    @cached_property
+    def revolute(self) -> Bool[Array, " n"]:
+        """Which joints turn."""
+        flat = flat_model(self.task.robot.model)
+        return np.ones(self.n, dtype=bool) if flat is None else flat.prismatic == 0
+
+    def value(self, Q: Array) -> Float[Array, "K size"]:
+        """Task points of states, (K, n)."""
+        return self._chain.value(self._states(Q))
+
+    def linearize(self, Q: Array) -> tuple[Float[Array, "K size"], Float[Array, "K m n"]]:
+        """Task points and Jacobians of states, (K, n)."""
+        return self._chain.linearize(self._states(Q))
+
+    def minus(self, Z1: Array, Z0: Array) -> Float[Array, "K m"]:
+        """Steps from Z0 to Z1 [m, rad]; either may have one row for all."""
+        return self._chain.minus(self._points(Z1), self._points(Z0))
+
+    def residual(self, Q: Array, Z: Array) -> Float[Array, " K"]:
+        """Largest entry of each state's task error, as the task itself has it [m, rad]."""
+        return np.abs(self._plain.minus(self._plain.value(Q), np.atleast_2d(Z))).max(axis=1, initial=0.0)
+
+    def project(
+        self,
+        Q: Array,
+        Z: Array,
+        *,
+        lower: Array | None = None,
+        upper: Array | None = None,
+        tol: float = 1e-10,
+        most: int = 60,
+        checked: bool = True,
+    ) -> Found:
+        """Joints at task points, from each state by the shortest steps, so that near ones stay near.
+
+        Levenberg and Marquardt's method; joints stay within bounds if there are any.
+
+        Args:
+            Q: Where to begin, (K, n).
+            Z: Task point of each state, or one for all, (K, size) or (size,).
+            lower: Least value of each joint; none by default.
+            upper: Largest value of each joint; none by default.
+            tol: Largest task error that may be left [m, rad].
+            most: Most steps.
+            checked: Whether the task itself computes the errors that are left once more; for points that are checked
+                later anyway it may be left out.
+
+        Raises:
+            InputError: Wrong shapes.
+            EosError: The task does not confirm a point that was found.
+        """
+        return self._search(Q, Z, lower, upper, tol, most, False, checked)
+
+    def first(
+        self,
+        starts: Array,
+        z: Array,
+        *,
+        lower: Array | None = None,
+        upper: Array | None = None,
+        tol: float = 1e-10,
+        most: int = 60,
+        checked: bool = True,
+    ) -> Found:
+        """Searches from one start after the other until one finds joints at z; the last row is that one.
+
+        Arguments as in `project`.
+        """
+        return self._search(starts, z, lower, upper, tol, most, True, checked)
+
+    def links(self, Q: Array, frames: Sequence[int]) -> Float[Array, "K L 12"]:
+        """Flat poses of frames, by their numbers in the Pinocchio model: position, then rotation row by row."""
+        Q = self._states(Q)
+        if not self.compiled:
+            robot = self.task.robot
+            names = [robot.model.frames[frame].name for frame in frames]
+            poses = [[robot.placement(q, name) for name in names] for q in Q]
+            flat = [[np.concatenate((p.translation, p.rotation.ravel())) for p in row] for row in poses]
+            return np.reshape(flat, (len(Q), len(names), 12))
+        flat_joints = flat_model(self.task.robot.model)
+        assert flat_joints is not None
+        carried = [flat_joints.carried(self.task.robot.model, frame) for frame in frames]
+        joints = np.array([joint for joint, _ in carried], dtype=np.int32)
+        return self._chain.links(Q, joints, np.reshape([tip for _, tip in carried], (len(carried), 12)))
+
+    # -- borders -----------------------------------------------------------------------------------------------------
+
+    def _search(
+        self,
+        Q: Array,
+        Z: Array,
+        lower: Array | None,
+        upper: Array | None,
+        tol: float,
+        most: int,
+        first: bool,
+        checked: bool,
+    ) -> Found:
+        Q, Z = self._states(Q), self._points(Z)
+        if len(Z) not in (1, len(Q)):
+            raise InputError(f"there must be one task point for each of the {len(Q)} states, or one for all: {len(Z)}")
+        least = self._none[0] if lower is None else np.ascontiguousarray(lower, dtype=float)
+        largest = self._none[1] if upper is None else np.ascontiguousarray(upper, dtype=float)
+        if least.shape != (self.n,) or largest.shape != (self.n,):
+            raise InputError(f"bounds must be {self.n} numbers each, got {least.shape} and {largest.shape}")
+        q, left, steps = self._chain.search(Q, Z, least, largest, tol, most, first)
+        found = left <= tol
+        if checked and self.compiled and found.any():
+            self._confirm(q[found], Z[found[: len(Z)]] if len(Z) > 1 else Z, tol)
+        return Found(q, left, steps, found)
+
+    def _confirm(self, Q: Array, Z: Array, tol: float) -> None:
+        """Let the task compute what the kernel found once more."""
+        worst = float(self.residual(Q, Z).max())
+        if not worst <= tol + self._rounding:
+            raise EosError(
+                f"the compiled kinematics found joints at which {self.task!r} has an error of {worst:.3g}, more than "
+                f"{tol:.3g}: please report it, and set EOS_PIN_COMPILED=0 in the environment to go on"
+            )
+
+    def _compare(self) -> None:
+        """Compare the kernel with the task on random states."""
+        robot = self.task.robot
+        lower, upper = np.clip(robot.lower, -np.pi, np.pi), np.clip(robot.upper, -np.pi, np.pi)
+        Q = np.random.default_rng(0).uniform(lower, upper, (COMPARED, self.n))
+        Z, J = self._plain.linearize(Q)
+        z, jacobians = self._chain.linearize(Q)
+        turned = np.roll(Z, 1, axis=0)
+        differences = (
+            z - Z,
+            jacobians - J,
+            self._chain.minus(Z, turned) - self._plain.minus(Z, turned),
+        )
+        worst = max(float(np.abs(difference).max()) for difference in differences)
+        if not worst <= 100.0 * self._rounding:
+            raise EosError(
+                f"the compiled kinematics of {self.task!r} differ from the task's own by {worst:.3g}. If the task is a "
+                "class of your own that changes what it derives from, let its frame_parts() return None; otherwise "
+                "please report it, and set EOS_PIN_COMPILED=0 in the environment to go on"
+            )
+
+    @cached_property
+    def _none(self) -> tuple[JointVector, JointVector]:
+        """Bounds that are none."""
+        return np.full(self.n, -np.inf), np.full(self.n, np.inf)
+
+    @cached_property
+    def _rounding(self) -> float:
+        return ROUNDING * max(1.0, self.task.robot.reach)
+
+    def _states(self, Q: Array) -> Float[Array, "K n"]:
+        Q = np.ascontiguousarray(Q, dtype=float)
+        if Q.ndim != 2 or Q.shape[1] != self.n:
+            raise InputError(f"states must be of shape (K, {self.n}), got {Q.shape}")
+        return Q
+
+    def _points(self, Z: Array) -> Float[Array, "K size"]:
+        Z = np.ascontiguousarray(np.atleast_2d(Z), dtype=float)
+        if Z.ndim != 2 or Z.shape[1] != self.size:
+            raise InputError(f"task points must be of shape (K, {self.size}), got {Z.shape}")
+        return Z
