@@ -15,6 +15,6 @@ setup(
             define_macros=[("NPY_NO_DEPRECATED_API", "NPY_2_0_API_VERSION")],
             optional=True,
         )
-        for name in ("_fast_law", "_fast_parts", "_kernels._chain")
+        for name in ("_fast_law", "_fast_parts", "_kernels._chain", "_kernels._trace")
     ]
 )

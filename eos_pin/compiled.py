@@ -19,7 +19,10 @@ from typing import Any, TypeVar, cast
 kernels: Any = None
 if os.environ.get("EOS_PIN_COMPILED") != "0":
     with suppress(ImportError):
-        modules = [import_module(f"eos_pin.{name}") for name in ("_fast_law", "_fast_parts", "_kernels._chain")]
+        modules = [
+            import_module(f"eos_pin.{name}")
+            for name in ("_fast_law", "_fast_parts", "_kernels._chain", "_kernels._trace")
+        ]
         kernels = SimpleNamespace(**{name: twin for module in modules for name, twin in vars(module).items()})
 
 Formula = TypeVar("Formula", bound=Callable[..., Any])

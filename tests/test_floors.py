@@ -20,6 +20,7 @@ TABLE = """
                 compiled
                 _kernels/flat       pinocchio
                 _kernels/plain      scipy
+                _kernels/tracing
                 _kernels/kinematics
     1 robot     workspace       pinocchio
                 robot           pinocchio

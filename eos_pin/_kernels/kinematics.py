@@ -9,16 +9,22 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from eos_pin._kernels import tracing
 from eos_pin._kernels.flat import Part, chain_arguments, flat_model
 from eos_pin._kernels.plain import PlainChain, TaskFunctions
-from eos_pin.arrays import Array, JointVector
+from eos_pin._kernels.tracing import CLOSED, ENDS, Curve
+from eos_pin.arrays import Array, JointVector, Vector
 from eos_pin.compiled import kernels
-from eos_pin.errors import EosError, InputError
+from eos_pin.errors import EosError, InputError, SingularError
 
 #: Largest difference from Pinocchio that is rounding, relative to the robot's reach and to 1 rad.
 ROUNDING = 1e-11
 #: States that are compared with Pinocchio when a task is first used.
 COMPARED = 16
+#: Step of a trace that ends it at a singularity, where it still fails.
+SHORTEST = 1e-7
+#: Most nodes of a trace to one side.
+MOST_NODES = 20000
 
 
 @runtime_checkable
@@ -149,6 +155,62 @@ class Kinematics:
         """
         return self._search(starts, z, lower, upper, tol, most, True, checked)
 
+    def trace(
+        self,
+        q: Array,
+        *,
+        z: Array | None = None,
+        step: float = 0.1,
+        turn: float = 0.2,
+        length: float = 300.0,
+        tol: float = 1e-11,
+        checked: bool = True,
+    ) -> Curve:
+        """The whole curve of self-motion through a state, of a task with one redundant joint.
+
+        Args:
+            q: Joints, (n,).
+            z: Task point there; by default that of q.
+            step: Largest step of one joint from node to node, as it is predicted [rad or m].
+            turn: Largest angle between the unit vectors of neighbouring nodes [rad].
+            length: A curve that is not closed within this length ends there, to both sides.
+            tol: Largest task error of a node [m, rad].
+            checked: Whether the task itself computes the error of each node once more.
+
+        Raises:
+            InputError: Wrong shapes, or the degree of redundancy is not one.
+            SingularError: The task is singular at q.
+            EosError: The task does not confirm a node.
+        """
+        q = self._states(np.atleast_2d(q))[0]
+        z = self._one(self.value(q[None])[0] if z is None else z)
+        Q, T, end = self._traced(q, z, 1.0, step, turn, length, tol)
+        if not len(Q):
+            J = self.linearize(q[None])[1][0]
+            values = np.linalg.svd(J, compute_uv=False)
+            rank = int((values > tracing.REGULAR * values[0]).sum())
+            raise SingularError(
+                f"{self.task!r} is singular at q = {q.tolist()}, where self-motions meet or end; start from another "
+                "posture",
+                min(rank, self.m - 1),
+                values.tolist(),
+            )
+        ends, winding = (ENDS[end], ENDS[end]), np.zeros(self.n, dtype=np.int64)
+        if end == CLOSED:
+            winding = np.where(self.revolute, np.round((Q[-1] - Q[0]) / (2.0 * np.pi)), 0.0).astype(np.int64)
+        else:
+            before, unit, other = self._traced(q, z, -1.0, step, turn, length, tol)
+            Q, T = np.concatenate((before[:0:-1], Q)), np.concatenate((-unit[:0:-1], T))
+            ends = ENDS[other], ENDS[end]
+        if checked and self.compiled:
+            self._confirm(Q, z, tol)
+        return Curve(Q, T, ends, winding)
+
+    def tangents(self, Q: Array, z: Array) -> tuple[Float[Array, "K n"], Float[Array, " K"]]:
+        """Unit vectors of the self-motion at states, and how regular each is, 0 at a singularity; see `trace`."""
+        self._one_redundant()
+        return self._tracing.tangents(self._chain, self._states(Q), self._one(z))
+
     def links(self, Q: Array, frames: Sequence[int]) -> Float[Array, "K L 12"]:
         """Flat poses of frames, by their numbers in the Pinocchio model: position, then rotation row by row."""
         Q = self._states(Q)
@@ -163,6 +225,26 @@ class Kinematics:
         carried = [flat_joints.carried(self.task.robot.model, frame) for frame in frames]
         joints = np.array([joint for joint, _ in carried], dtype=np.int32)
         return self._chain.links(Q, joints, np.reshape([tip for _, tip in carried], (len(carried), 12)))
+
+    def _traced(
+        self, q: JointVector, z: Array, direction: float, step: float, turn: float, length: float, tol: float
+    ) -> tuple[Float[Array, "K n"], Float[Array, "K n"], int]:
+        self._one_redundant()
+        revolute = self.revolute.astype(np.uint8) if self.compiled else self.revolute
+        return self._tracing.trace(
+            self._chain, q, z, revolute, direction, step, turn, length, SHORTEST, tol, MOST_NODES
+        )
+
+    @property
+    def _tracing(self) -> Any:
+        return kernels if self.compiled else tracing
+
+    def _one_redundant(self) -> None:
+        if self.n - self.m != 1:
+            raise InputError(
+                f"the self-motion of {self.task!r} is a curve where the robot has one joint more than the task has "
+                f"coordinates; here it has {self.n} joints and {self.m} coordinates"
+            )
 
     # -- borders -----------------------------------------------------------------------------------------------------
 
@@ -234,6 +316,13 @@ class Kinematics:
         if Q.ndim != 2 or Q.shape[1] != self.n:
             raise InputError(f"states must be of shape (K, {self.n}), got {Q.shape}")
         return Q
+
+    def _one(self, z: Array) -> Vector:
+        """One task point."""
+        Z = self._points(z)
+        if len(Z) != 1:
+            raise InputError(f"one task point is needed, got {len(Z)}")
+        return Z[0]
 
     def _points(self, Z: Array) -> Float[Array, "K size"]:
         Z = np.ascontiguousarray(np.atleast_2d(Z), dtype=float)
