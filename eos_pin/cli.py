@@ -38,7 +38,6 @@ from eos_pin.sweeping import sweep
 if TYPE_CHECKING:
     from eos_pin.atlas import JointPath
     from eos_pin.results import Result
-    from eos_pin.tasks import Task
 
 
 def track(
@@ -64,6 +63,7 @@ def track(
     say_notes(machine)
     goal, q = task.make(machine)
     reference = path.make(goal, q)
+    say_notes(reference)
     controller = control.make(goal, reference, q, simulation.period)
     title = f"{machine.name}, {task.task}"
     duration = path.length(reference)
@@ -110,6 +110,7 @@ def compare(
     say_notes(machine)
     goal, q = task.make(machine)
     reference = path.make(goal, q)
+    say_notes(reference)
     duration = path.length(reference)
     results: dict[str, Result] = {}
     for kind in controllers:
@@ -161,33 +162,36 @@ def ik(
         robot: Which robot.
         task: What the robot must do; q0 is where v is 0 and the search starts.
         output: What to keep.
-        to: Task point, such as x y z [m]; by default that at q0.
+        to: Task point; by default that at q0. As many numbers as the task has axes, such as x y z [m]; for a pose x y z
+            (the orientation stays), x y z roll pitch yaw [rad], x y z qx qy qz qw, or x y z and the rotation matrix row
+            by row; for an orientation these without x y z. In a CSV file the names of the columns say which is which.
         v: Self-motion coordinates [rad or m]; by default 0, the value at q0.
-        path: CSV file of rows t, z1, …, zm to follow instead of one point.
+        path: CSV file to follow instead of one point, as that of `eos-pin track`.
 
     For example:
 
       eos-pin ik panda --to 0.4 0.1 0.5
-      eos-pin ik panda --task pose --v 0.3 --view
-      eos-pin ik panda --path path.csv --csv joints.csv
+      eos-pin ik panda --task pose --to 0.4 0.1 0.5 3.14 0 0 --v 0.3 --view
+      eos-pin ik panda --task pose --path poses.csv --csv joints.csv
     """
     from eos_pin.atlas import Atlas
+    from eos_pin.pathfiles import path_from_csv, points_along, task_point
     from eos_pin.recording import joint_run
-    from eos_pin.splines import spline_from_csv
 
     machine = robot.load()
     say_notes(machine)
     goal, q = task.make(machine)
     v_goal = vector(v, machine.n - goal.m, "v") if v else None
-    z0 = goal.value(q)
     found: JointPath | None
     if path is not None:
-        spline = spline_from_csv(path)
-        times = np.linspace(spline.start, spline.end, max(2, round(100 * (spline.end - spline.start))))
-        found = Atlas(goal).follow(q, [_whole(goal, spline(t).z, z0) for t in times], v=v_goal)
+        curve = path_from_csv(path, goal, q)
+        say_notes(curve)
+        times = points_along(curve)
+        found = Atlas(goal).follow(q, [curve(t).z for t in times.tolist()], v=v_goal)
         residual, message, way, joints = found.residual, found.message, "path", found.q
     else:
-        reached = Atlas(goal).reach(q, _whole(goal, np.array(to), z0), v=v_goal, points=100)
+        z = task_point(goal, to, q) if to else goal.value(q)
+        reached = Atlas(goal).reach(q, z, v=v_goal, points=100)
         residual, message, way, found = reached.residual, reached.message, reached.way, reached.path
         # Of a jump only the end counts.
         joints = np.linspace(q, reached.q, 101) if found is None else found.q
@@ -324,13 +328,6 @@ def _guarded(command: Callable[[], int]) -> int:
 
 def _escaped(text: str) -> str:
     return text.replace("[", r"\[")
-
-
-def _whole(task: Task, z: np.ndarray, z0: np.ndarray) -> np.ndarray:
-    """Task point whose leading coordinates are z, the others those of z0."""
-    if z.size > task.size:
-        raise InputError(f"the task point must be up to {task.size} numbers ({', '.join(task.labels)}), got {z.size}")
-    return task.point(np.concatenate((z, z0[z.size :])))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from eos_pin.arrays import JointVector, VectorLike, number, vector
 from eos_pin.atlas import Atlas
 from eos_pin.dynamics import pseudoinverse
 from eos_pin.errors import SingularError
-from eos_pin.recording import joint_run, sample_times
+from eos_pin.recording import check_run, joint_run, sample_times
 from eos_pin.results import Result
 from eos_pin.targets import Trajectory
 from eos_pin.tasks import Task
@@ -42,6 +42,7 @@ def rate_control(task: Task, path: Trajectory, q: VectorLike, *, duration: float
     number(rtol, "rtol", above=0.0)
     q = vector(q, task.robot.n, "q at the start")
     t = sample_times(duration, RATE, path.period)
+    check_run(task.robot.n, len(t), float(t[-1]), path)
     found = solve_ivp(velocity, (0.0, t[-1]), q, method="DOP853", t_eval=t, rtol=rtol, atol=rtol)
     t = t[: found.y.shape[1]]
     message = "" if found.success else f"the integrator gave up: {found.message}"
@@ -59,6 +60,7 @@ def chart_following(task: Task, path: Trajectory, q: VectorLike, *, duration: fl
         tol: Largest task error at each sample [m, rad].
     """
     t = sample_times(duration, RATE, path.period)
+    check_run(task.robot.n, len(t), float(t[-1]), path)
     found = Atlas(task).follow(q, [path(s).z for s in t], tol=tol)
     t = t[: len(found.q)]
     return joint_run(task, t, found.q, found.z, v=found.v, chart=found.chart, period=path.period, message=found.message)

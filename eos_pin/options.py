@@ -97,7 +97,8 @@ class PathOptions:
     """Where it should go.
 
     Attributes:
-        path: Figure eight, circle, line, hold, or a CSV file of rows t, z1, …, zm [s, m].
+        path: Figure eight, circle, line, hold, or a CSV file whose first row names its columns: t [s]; x, y, z [m]; qw,
+            qx, qy, qz, or roll, pitch, yaw [rad]. Without t the speed is constant, without orientation it stays.
         size: Half width or radius [m]; by default as large as the robot can follow.
         plane: Plane of the path, such as yz, or one axis for a line.
         period: Time of one round [s]; by default as short as the joints' velocity limits allow, from 4 s.
@@ -114,17 +115,11 @@ class PathOptions:
 
     def make(self, task: Task, q: JointVector) -> Trajectory:
         """The path, through the task point at q unless a file says otherwise."""
+        from eos_pin.pathfiles import path_from_csv
         from eos_pin.presets import fitting_path
-        from eos_pin.splines import spline_from_csv
-        from eos_pin.targets import Hold
-        from eos_pin.trajectories import StackedTrajectory
 
-        if self.path.lower().endswith(".csv"):
-            spline = spline_from_csv(self.path)
-            width, z = spline(0.0).z.size, task.value(q)
-            if width < task.m and width in (2, 3) and task.size > width:
-                return StackedTrajectory((spline, Hold(z[width:], task.m - width)))
-            return spline
+        if self.path.lower().endswith((".csv", ".tsv", ".txt")):
+            return path_from_csv(self.path, task, q, patient=self.duration is not None)
         if self.path not in ("eight", "circle", "line", "hold"):
             raise InputError(f"a path is eight, circle, line, hold, or the name of a .csv file; got {self.path!r}")
         return fitting_path(task, q, shape=self.path, size=self.size, plane=self.plane, period=self.period)  # type: ignore[arg-type]

@@ -15,13 +15,16 @@ from jaxtyping import Float, Int
 from eos_pin.arrays import Array, JointVector, Vector, VectorLike, nearest, number
 from eos_pin.charts import Chart
 from eos_pin.controllers import EosController
-from eos_pin.errors import ChartError, EosError, SingularError
+from eos_pin.errors import ChartError, EosError, InputError, SingularError
 from eos_pin.results import Result, provenance
 from eos_pin.robot import Robot
 from eos_pin.systems import System
+from eos_pin.targets import Trajectory
 from eos_pin.tasks import Task
 
 _TASK_COLUMNS = ("z", "dz", "z_ref", "error", "task_force", "given_up", "given_up_to_limits")
+#: Samples of a run, and joints in all samples together, that are kept at most.
+MOST_SAMPLES, MOST_JOINT_SAMPLES = 1_000_000, 20_000_000
 #: Called with time and joints of every sample of a run: a progress bar, a live view.
 Observer: TypeAlias = Callable[[float, JointVector], None]
 
@@ -53,6 +56,7 @@ class Recorder:
     """Collects samples, and how the run ended."""
 
     def __init__(self, system: System, times: Vector, arguments: dict[str, Any], observer: Observer | None) -> None:
+        check_run(system.plant.n, len(times), float(times[-1]), getattr(system.controller, "reference", None))
         self.system, self.arguments, self.observer = system, arguments, observer
         self.times: list[float] = times.tolist()
         self.switches: list[float] = []
@@ -245,9 +249,45 @@ def _record(robot: Robot) -> dict[str, Any]:
     }
 
 
+def check_run(n: int, samples: int, duration: float, path: Trajectory | None) -> None:
+    """Refuse a run that would keep too much, or end before its path begins.
+
+    Args:
+        n: Number of joints.
+        samples: Samples that are kept.
+        duration: Length of the run [s].
+        path: What is followed, if there is a path.
+
+    Raises:
+        InputError: It says what to do.
+    """
+    if samples * n > MOST_JOINT_SAMPLES:
+        raise InputError(
+            f"{samples:,} samples of {n} joints are more than can be kept; up to {MOST_JOINT_SAMPLES // n:,} are "
+            "possible. Make the run shorter, or keep fewer samples per second"
+        )
+    begin = getattr(path, "begin", 0.0)
+    if begin >= duration:
+        raise InputError(
+            f"the path begins at t = {begin:.10g} s, when the run from 0 to {duration:g} s has ended. Count its times "
+            "from the start of the run, such as times - times[0]"
+        )
+
+
 def sample_times(duration: float, rate: float, period: float) -> Array:
-    """Sample times: a regular grid, the end, and the exact multiples of the period instead of their neighbours."""
+    """Sample times: a regular grid, the end, and the exact multiples of the period instead of their neighbours.
+
+    Raises:
+        InputError: The numbers are out of range, or there would be more samples than can be kept.
+    """
     duration, rate = number(duration, "the duration", above=0.0), number(rate, "the sample rate", above=0.0)
+    count = duration * rate + (duration / period if period > 0.0 else math.inf)
+    if count > MOST_SAMPLES:
+        raise InputError(
+            f"a run of {duration:,.10g} s with {rate:g} samples kept per second would have {count:,.0f} samples; up to "
+            f"{MOST_SAMPLES:,} are possible. Make it shorter, or keep fewer per second; if the duration comes from a "
+            "path whose times are in milliseconds, divide them by 1000"
+        )
     times = np.arange(0.0, duration, 1.0 / rate)
     exact = [duration]
     if math.isfinite(period):

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from eos_pin.results import Result
     from eos_pin.robot import Robot
     from eos_pin.scene import Scene
+    from eos_pin.targets import Trajectory
 
 #: Where tables go; errors and progress go to stderr.
 console = Console(highlight=False)
@@ -196,9 +197,9 @@ def say_files(files: Sequence[Path]) -> None:
         console.print("Wrote " + ", ".join(str(file) for file in files), soft_wrap=True)
 
 
-def say_notes(robot: Robot) -> None:
-    """Say on the terminal, beside the results, what loading a robot changed, could not find or found odd."""
-    for note in robot.notes:
+def say_notes(made: Robot | Trajectory) -> None:
+    """Say on the terminal, beside the results, what loading a robot or a path chose, changed or could not find."""
+    for note in made.notes:
         stderr.print(f"Note: {note}", markup=False, soft_wrap=True)
 
 

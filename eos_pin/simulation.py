@@ -6,6 +6,7 @@ A run that cannot go on ends with a status, a message and everything computed so
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
@@ -28,6 +29,8 @@ MOST_STEPS = 5_000
 SHORTEST_STEP = 1e-9
 #: Tolerance below which LSODA does not keep what is asked.
 TIGHT = 1e-10
+#: Steps of the plant in a sampled run, at most.
+MOST_PERIODS = 100_000_000
 #: A joint velocity [rad/s or m/s] that no robot has.
 TOO_FAST = 1e4
 #: Where the smallest singular value of G' is this fraction of the largest, a singularity is why the joints were fast.
@@ -181,6 +184,12 @@ def simulate_sampled(
     q, dq = _state(plant, q, dq)
     period = number(period, "the control period", above=0.0)
     lag = round(number(delay, "the delay", at_least=0.0) / period)
+    duration = number(duration, "the duration", above=0.0)
+    if max(duration / period * substeps, lag) > MOST_PERIODS:
+        raise InputError(
+            f"{duration:g} s with a control period of {period:g} s, {substeps} substeps and a delay of {delay:g} s are "
+            f"more than {MOST_PERIODS:,} steps; make the run or the delay shorter, or the period longer"
+        )
     if substeps < 1 or substeps != int(substeps):
         raise InputError(f"substeps must be a whole number of at least 1, got {substeps}")
     if not 0.0 <= number(dropout, "the dropout") < 1.0:
@@ -207,7 +216,7 @@ def simulate_sampled(
     }
     record = Recorder(system, sample_times(duration, rate, system.reference_period), arguments, observer)
     steps = max(1, math.ceil(duration / period - 1e-9))
-    measured: list[tuple[JointVector, JointVector]] = []
+    measured: deque[tuple[JointVector, JointVector]] = deque(maxlen=lag + 1)
     x = np.concatenate((q, dq, [0.0]))
     n = plant.n
     with record.until_it_ends(), np.errstate(over="ignore", invalid="ignore"):
@@ -219,7 +228,7 @@ def simulate_sampled(
                     state[0] + noise.q * random.normal(size=n),
                     state[1] + noise.dq * random.normal(size=n),
                 )
-            measured = [*measured, state][-lag - 1 :]
+            measured.append(state)
             if not (k and dropout) or random.random() >= dropout:
                 tau = loop.step(t, *measured[0])
             if loop.memory is not system.memory:

@@ -151,7 +151,9 @@ def sweep(
     axes: dict[str, Sequence[Any]] = {"robot": robot} | {name: values for name, values in vars(swept).items() if values}
     axes |= {"seed": range(seeds)}
     _check(axes, vars(same))
-    planned = sweeps.trials(**{name: list(values) for name, values in axes.items()}, **vars(same))
+    planned = sweeps.trials(
+        **{name: values if name == "seed" else list(values) for name, values in axes.items()}, **vars(same)
+    )
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=stderr, transient=True) as progress:
         bar = progress.add_task("runs", total=len(planned))

@@ -36,6 +36,8 @@ from eos_pin.robot import Robot
 #: What is known of one run: its settings and its figures by name.
 Row: TypeAlias = dict[str, Any]
 
+#: Runs of one sweep, at most.
+MOST_RUNS = 100_000
 GROUPS: Mapping[str, type] = {
     "robot": RobotOptions,
     "task": TaskOptions,
@@ -158,10 +160,14 @@ def trials(kind: type[Trial] = Trial, /, **settings: Any) -> list[Trial]:
 
     Raises:
         UnknownNameError: There is no such setting, or it has no such value.
+        InputError: No robot, or too many combinations.
     """
     if "robot" not in settings:
         raise InputError('trials need a robot, such as robot="panda" or robot=["panda", "xarm7"]')
-    axes = [list(value) if isinstance(value, list | range | np.ndarray) else [value] for value in settings.values()]
+    axes = [value if isinstance(value, list | range | np.ndarray) else [value] for value in settings.values()]
+    count = math.prod(len(axis) for axis in axes)
+    if count > MOST_RUNS:
+        raise InputError(f"these settings make {count:,} runs; up to {MOST_RUNS:,} are possible. Take fewer of each")
     return [kind.of(**dict(zip(settings, values, strict=True))) for values in itertools.product(*axes)]
 
 

@@ -100,7 +100,7 @@ def test_track_pushed_with_friction_and_missed_periods() -> None:
 def test_a_path_from_a_file_and_a_run_out_of_reach() -> None:
     Path("path.csv").write_text("t,x,y,z\n0,0.45,0,0.7\n2,0.45,0.2,0.6\n4,0.4,0,0.6\n")
     assert figures("track", "panda", "--path", "path.csv")["task_error_max"] < 1e-6
-    Path("far.csv").write_text("0,0.45,0,0.7\n2,3,0,0.6\n")
+    Path("far.csv").write_text("0,0.45,0,0.7\n2,1,0,0.6\n")
     assert main(["track", "panda", "--path", "far.csv", "--json", "far.json"]) == 1
     far = json.loads(Path("far.json").read_text())
     assert far["status"] != "finished"
@@ -123,8 +123,45 @@ def test_ik_reaches_a_point_and_follows_a_path() -> None:
     assert found["task_error_max"] < 1e-9
     Path("path.csv").write_text("0,0.45,0,0.7\n1,0.45,0.2,0.6\n")
     assert main(["ik", "panda", "--path", "path.csv", "--csv", "joints.csv"]) == 0
-    assert np.loadtxt("joints.csv", delimiter=",", skiprows=1).shape == (100, 8)
-    assert main(["ik", "panda", "--to", "4", "0", "0"]) == 1
+    assert np.loadtxt("joints.csv", delimiter=",", skiprows=1).shape == (101, 8)
+    assert main(["ik", "panda", "--to", "1", "0", "0.6"]) == 1
+
+
+def test_poses_from_a_file_are_tracked_and_inverted(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [
+        "# a log",
+        "x;y;z;qw;qx;qy;qz;",
+        "0.5;0;0.5;0;1;0;0;",
+        "0.5;0,1;0.55;0;0.999;0.0447;0;",
+        "0.5;0.1;0.5;0;1;0;0",
+    ]
+    Path("poses.csv").write_text("\n".join(rows))
+    found = figures("ik", "panda", "--task", "pose", "--path", "poses.csv")
+    assert found["task_error_max"] < 1e-8
+    assert "poses.csv has no times: it takes" in capsys.readouterr().err
+    q0 = [repr(value) for value in found["q"]]
+    rows = ["t qw qx qy qz x y z", "100 0 1 0 0 .5 .1 .5", "101 0 0.999 0.0447 0 .5 .1 .5", "102 0 1 0 0 .5 .08 .5"]
+    Path("poses.tsv").write_text("\n".join(rows))
+    for task in ("pose", "orientation"):
+        found = figures("track", "panda", "--task", task, "--path", "poses.tsv", "--q0", *q0, "--duration", "2")
+        assert (found["status"], found["duration"]) == ("finished", 2.0)
+        assert found["task_error_max"] < 1e-3
+        said = " ".join(capsys.readouterr().err.split())
+        assert "poses.tsv begin at 100 s; they are counted from there" in said
+        assert ("do not count" in said) == (task == "orientation")
+
+
+def test_ik_takes_poses_as_people_write_them() -> None:
+    place, half = ["0.45", "0.1", "0.5"], repr(float(np.sqrt(0.5)))
+    forms = [
+        ["3.141592653589793", "0", "1.5707963267948966"],
+        [half, half, "0", "0"],
+        ["0", "1", "0", "1", "0", "0", "0", "0", "-1"],
+    ]
+    ends = [figures("ik", "panda", "--task", "pose", "--to", *place, *form)["q"] for form in forms]
+    np.testing.assert_allclose(ends, [ends[0]] * 3, atol=1e-6)
+    assert figures("ik", "panda", "--task", "orientation", "--to", *forms[0])["task_error_max"] < 1e-8
+    assert figures("ik", "panda", "--task", "pose", "--to", *place)["task_error_max"] < 1e-8
 
 
 def test_info_says_what_a_robot_is(capsys: pytest.CaptureFixture[str]) -> None:
@@ -164,7 +201,12 @@ def test_robots_lists_names() -> None:
         (["track", "panda", "--chart-margin", "1"], "below 1"),
         (["track", "panda", "--plane", "qq"], "axes"),
         (["track", "panda", "--axes", "w"], "axes"),
-        (["ik", "panda", "--to", "1", "2", "3", "4"], "up to 3"),
+        (["ik", "panda", "--to", "1", "2", "3", "4"], "must be 3 numbers"),
+        (["ik", "panda", "--to", "0.4", "0.1"], "must be 3 numbers"),
+        (["ik", "panda", "--to", "400", "100", "500"], "millimetres"),
+        (["ik", "panda", "--task", "pose", "--to", "0.4", "0.1", "0.5", "0", "0"], "has 5 numbers; a pose is 3"),
+        (["track", "panda", "--duration", "1e12"], "up to 1,000,000 are possible"),
+        (["track", "panda", "--cycles", "1000000000"], "up to 1,000,000 are possible"),
         (["replay", "none.npz"], "none.npz"),
         (["robots", "nobody"], "nobody"),
         (["robots", "--html", "a.html"], "info"),

@@ -35,6 +35,7 @@ TABLE = """
                 frames          pinocchio
                 positions       pinocchio
                 orientations    pinocchio
+                extent          pinocchio
                 newton          scipy
                 charts          scipy
                 atlas
@@ -51,6 +52,7 @@ TABLE = """
                 loop
                 batch
     5 run       presets         pinocchio
+                pathfiles
                 systems
                 results
                 recording

@@ -12,7 +12,9 @@ from eos_pin import (
     BASELINES,
     Atlas,
     Controller,
+    ControlLoop,
     EosController,
+    Geodesic,
     Hold,
     InputError,
     OpenLoop,
@@ -25,6 +27,7 @@ from eos_pin import (
     TaskForce,
     Track,
     Trajectory,
+    cubic_spline,
     figure_eight,
     line,
     minimum_jerk,
@@ -32,6 +35,7 @@ from eos_pin import (
     simulate_eos,
     simulate_sampled,
 )
+from eos_pin.kinematics import chart_following
 
 REST = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
 
@@ -500,6 +504,11 @@ def test_a_singular_start_is_refused(ur5, drive):
         (simulate_sampled, {"torque_limits": [1.0]}, "the torque limits must be 7 numbers"),
         (simulate_sampled, {"torque_limits": -1.0}, "the torque limits must be above 0"),
         (simulate_sampled, {"duration": -1.0}, "the duration must be"),
+        (simulate, {"duration": 1e12}, "up to 1,000,000 are possible. Make it shorter, or keep fewer"),
+        (simulate, {"rate": 1e9}, "up to 1,000,000 are possible"),
+        (simulate_sampled, {"duration": 1e12, "rate": 1e-9}, "more than 100,000,000 steps"),
+        (simulate_sampled, {"period": 1e-12}, "more than 100,000,000 steps"),
+        (simulate_sampled, {"delay": 1e9}, "more than 100,000,000 steps"),
     ],
 )
 def test_wrong_arguments_are_refused_before_anything_runs(panda, drive, arguments, message):
@@ -509,6 +518,27 @@ def test_wrong_arguments_are_refused_before_anything_runs(panda, drive, argument
     words = {"q": REST, "duration": 1.0, "observer": observer} | arguments
     with pytest.raises(InputError, match=message):
         drive(panda, OpenLoop(lambda t: np.zeros(7)), words.pop("q"), **words)
+
+
+@pytest.mark.parametrize("make", [minimum_jerk, cubic_spline, Geodesic])
+def test_runs_that_end_before_their_path_begins_are_refused(panda, make):
+    task = PositionTask(panda, tip(panda))
+    z = task.value(REST)
+    knots = [z, z + 0.01], [1.7e9, 1.7e9 + 1.0]
+    path = make(task, *knots) if make is Geodesic else make(*knots)
+    for drive in (simulate, simulate_sampled):
+        with pytest.raises(InputError, match=r"begins at t = 1700000000 s, .* such as times - times\[0\]"):
+            drive(panda, EosController(task, path), REST, duration=5.0)
+    with pytest.raises(InputError, match="begins at t = 1700000000 s"):
+        chart_following(task, path, REST, duration=5.0)
+    # A loop may run on the clock of the path.
+    assert np.isfinite(ControlLoop(EosController(task, path)).step(1.7e9, REST, np.zeros(7))).all()
+
+
+def test_runs_keep_what_memory_holds(panda, monkeypatch):
+    monkeypatch.setattr("eos_pin.recording.MOST_JOINT_SAMPLES", 700)
+    with pytest.raises(InputError, match="101 samples of 7 joints are more than can be kept; up to 100 are possible"):
+        simulate(panda, OpenLoop(lambda t: np.zeros(7)), REST, duration=1.0)
 
 
 def test_robots_must_fit(panda, ppr):

@@ -90,6 +90,7 @@ def test_trials_are_all_combinations_in_order():
         ({"robot": "ppr", "task": ["position", "pos"]}, "position"),
         ({"robot": "ppr", "kp": object()}, "kp must be"),
         ({"kp": 1.0}, "robot"),
+        ({"robot": "ppr", "seed": range(10**12)}, "make 1,000,000,000,000 runs; up to 100,000 are possible"),
     ],
 )
 def test_a_trial_that_cannot_be_is_refused_at_once(settings, told):
@@ -325,6 +326,7 @@ def test_the_command_ends_with_1_where_a_run_fails(tmp_path, monkeypatch, capsys
         (["ppr", "--noise", "0,1e-5"], "--rate"),
         (["ppr", "--controller", "eos,eoss"], "eos"),
         (["ppr", "--size", "0.1,-1"], "above 0"),
+        (["ppr", "--seeds", "1000000000000"], "up to 100,000 are possible"),
     ],
 )
 def test_bad_input_is_one_paragraph_and_code_2(words, told, tmp_path, monkeypatch, capsys):
