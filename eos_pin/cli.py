@@ -13,7 +13,7 @@ import tyro
 
 from eos_pin.arrays import vector
 from eos_pin.describing import info
-from eos_pin.errors import EosError, InputError
+from eos_pin.errors import InputError
 from eos_pin.files import write_atomically
 from eos_pin.library import available_robots
 from eos_pin.options import ControllerName, ControlOptions, PathOptions, RobotOptions, RunOptions, TaskOptions
@@ -23,6 +23,7 @@ from eos_pin.report import (
     deliver,
     figure,
     grid,
+    guarded,
     run_table,
     say_files,
     say_notes,
@@ -292,13 +293,13 @@ def run(command: Callable[..., int], argv: Sequence[str] | None = None) -> int:
     Returns:
         0, 1 for a run that failed, 2 for bad input, 130 for an interrupt.
     """
-    return _guarded(lambda: tyro.cli(command, args=argv, config=_STYLE))
+    return guarded(lambda: tyro.cli(command, args=argv, config=_STYLE))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command `eos-pin`."""
     commands = {f.__name__: f for f in (track, compare, sweep, info, ik, replay, robots)}
-    return _guarded(
+    return guarded(
         lambda: tyro.extras.subcommand_cli_from_dict(
             commands,
             prog="eos-pin",
@@ -310,24 +311,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 _STYLE = (tyro.conf.OmitArgPrefixes,)
-
-
-def _guarded(command: Callable[[], int]) -> int:
-    try:
-        return command()
-    except EosError as error:
-        stderr.print(f"[bold red]Error:[/] {_escaped(str(error))}", soft_wrap=True)
-        return 2
-    except BrokenPipeError:
-        sys.stderr.close()
-        return 0
-    except KeyboardInterrupt:
-        stderr.print("Interrupted.")
-        return 130
-
-
-def _escaped(text: str) -> str:
-    return text.replace("[", r"\[")
 
 
 if __name__ == "__main__":

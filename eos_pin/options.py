@@ -271,8 +271,13 @@ class RunOptions:
         seed: int = 0,
         observer: Observer | None = None,
     ) -> Result:
-        """Run the closed loop; `seed` is that of everything random."""
+        """Run the closed loop; `seed` is that of everything random.
+
+        Raises:
+            KeyboardInterrupt: The run was interrupted; what was computed of it is dropped.
+        """
         from eos_pin.mujoco_plant import MujocoPlant
+        from eos_pin.recording import uninterrupted
         from eos_pin.simulation import SensorNoise, simulate, simulate_sampled
         from eos_pin.systems import Friction
 
@@ -281,10 +286,11 @@ class RunOptions:
         plant = MujocoPlant.of(plant) if self.plant == "mujoco" else plant
         period = self.period
         if period is None:
-            return simulate(
+            result = simulate(
                 plant, controller, q, duration=duration, method=self.method, rtol=self.rtol, observer=observer
             )
-        return simulate_sampled(
+            return uninterrupted(result)
+        result = simulate_sampled(
             plant,
             controller,
             q,
@@ -300,3 +306,4 @@ class RunOptions:
             seed=seed,
             observer=observer,
         )
+        return uninterrupted(result)

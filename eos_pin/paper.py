@@ -25,7 +25,7 @@ from eos_pin.loading import load_robot
 from eos_pin.objectives import Damp, DescendPotential, Objective, ReduceKineticEnergy
 from eos_pin.positions import PositionTask
 from eos_pin.presets import fitting_path, make_task, rest_posture
-from eos_pin.recording import Observer
+from eos_pin.recording import Observer, uninterrupted
 from eos_pin.results import Result
 from eos_pin.robot import Robot
 from eos_pin.simulation import simulate, simulate_eos
@@ -86,24 +86,16 @@ class ClosedLoop(Experiment):
 
     def run(self, observer: Observer | None = None) -> Result:
         start = self.robot, self.controller, self.q, self.dq
-        if self.atlas is None:
-            return simulate(
-                *start,
-                duration=self.duration,
-                rtol=self.rtol,
-                atol=self.atol,
-                task_force=self.task_force,
-                observer=observer,
-            )
-        return simulate_eos(
+        run = simulate if self.atlas is None else partial(simulate_eos, atlas=self.atlas)
+        result = run(
             *start,
-            atlas=self.atlas,
             duration=self.duration,
             rtol=self.rtol,
             atol=self.atol,
             task_force=self.task_force,
             observer=observer,
         )
+        return uninterrupted(result)
 
 
 @dataclass(frozen=True, eq=False)

@@ -199,6 +199,17 @@ def _ending(ending: BaseException, t: float) -> tuple[str, str]:
     return status, f"the run ended at t = {t:.4g} s: {ending}"
 
 
+def uninterrupted(result: Result) -> Result:
+    """The result itself; an interrupt that ended the run is raised once more, for what runs many or writes files.
+
+    Raises:
+        KeyboardInterrupt: The run was interrupted.
+    """
+    if result.status == "interrupted":
+        raise KeyboardInterrupt(f"the run is {result.message}, nothing of it is kept")
+    return result
+
+
 def joint_run(
     task: Task,
     t: VectorLike,

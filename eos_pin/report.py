@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +15,14 @@ import numpy as np
 import tyro
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from eos_pin.arrays import JointVector
+from eos_pin.errors import EosError
 from eos_pin.files import write_atomically
+from eos_pin.interrupts import patient_interrupts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -234,6 +238,22 @@ def run_table(summary: Mapping[str, Any]) -> Table:
     table.add_row("largest torque or force", f"{figure(summary['torque_max'])} N m or N")
     table.add_row("computing time", f"{summary['cpu_seconds']:.2f} s")
     return table
+
+
+def guarded(command: Callable[[], int]) -> int:
+    """Exit code of a command; bad input and Ctrl-C are told in one paragraph."""
+    try:
+        with patient_interrupts():
+            return command()
+    except EosError as error:
+        stderr.print(f"[bold red]Error:[/] {escape(str(error))}", soft_wrap=True)
+        return 2
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+    except KeyboardInterrupt as interrupt:
+        stderr.print(": ".join(filter(None, ("Interrupted", str(interrupt)))), markup=False)
+        return 130
 
 
 def figure(value: float | None) -> str:

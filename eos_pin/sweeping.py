@@ -19,7 +19,7 @@ from eos_pin.options import ControlOptions, PathOptions, RobotOptions, RunOption
 from eos_pin.report import console, grid, say_files, stderr, write_json
 
 if TYPE_CHECKING:
-    from eos_pin.sweeps import Row
+    from eos_pin.sweeps import Row, Trial
 
 
 def _commas(kind: Callable[[str], Any], name: str) -> PrimitiveConstructorSpec[tuple[Any, ...]]:
@@ -154,15 +154,7 @@ def sweep(
     planned = sweeps.trials(
         **{name: values if name == "seed" else list(values) for name, values in axes.items()}, **vars(same)
     )
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=stderr, transient=True) as progress:
-        bar = progress.add_task("runs", total=len(planned))
-        rows = sweeps.sweep(
-            planned,
-            folder=kept.out / "finished",
-            jobs=jobs,
-            observer=lambda done, of: progress.update(bar, completed=done, total=of),
-        )
+    rows = _watched(planned, kept.out / "finished", jobs)
     over = [name for name, values in axes.items() if len(values) > 1 and name != "seed"]
     console.print(grid(f"{len(rows)} runs", *_overview(rows, over)))
     told = Counter(row["message"] for row in rows if row["status"] != "finished")
@@ -175,6 +167,30 @@ def sweep(
         written.append(write_json(kept.json, {"runs": rows}))
     say_files(written)
     return 1 if told else 0
+
+
+def _watched(planned: list[Trial], folder: Path, jobs: int) -> list[Row]:
+    """Rows of all runs, with a progress bar meanwhile.
+
+    Raises:
+        KeyboardInterrupt: The sweep was interrupted; its message tells how much is done.
+    """
+    from eos_pin import sweeps
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    counts = 0, len(planned)
+    with Progress(*columns, console=stderr, transient=True) as progress:
+        bar = progress.add_task("runs", total=len(planned))
+
+        def tell(done: int, of: int) -> None:
+            nonlocal counts
+            counts = done, of
+            progress.update(bar, completed=done, total=of)
+
+        try:
+            return sweeps.sweep(planned, folder=folder, jobs=jobs, observer=tell)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"{counts[0]} of {counts[1]} done, the same command goes on") from None
 
 
 def _check(axes: dict[str, Sequence[Any]], same: Row) -> None:

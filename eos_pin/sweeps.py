@@ -15,10 +15,15 @@ import itertools
 import json
 import math
 import numbers
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import IO, Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
 
@@ -29,7 +34,7 @@ from eos_pin.controllers import Controller
 from eos_pin.errors import EosError, InputError, OutputError, UnknownNameError
 from eos_pin.files import write_atomically
 from eos_pin.options import ControlOptions, PathOptions, RobotOptions, RunOptions, TaskOptions
-from eos_pin.recording import Observer
+from eos_pin.recording import Observer, uninterrupted
 from eos_pin.results import Result, provenance
 from eos_pin.robot import Robot
 
@@ -181,7 +186,8 @@ def sweep(
     """Run all trials and return a row of settings and figures for each, in their order.
 
     A run that raises becomes a row with status `"failed"` and its message, and is tried again next time. What is kept
-    knows its settings, the files it read and the versions of packages, but not code that was changed since.
+    knows its settings, the files it read and the versions of packages, but not code that was changed since. An
+    interrupt ends all runs; what was finished by then is kept, and nothing of the others.
 
     Args:
         trials: The runs; equal ones are computed once.
@@ -208,11 +214,19 @@ def sweep(
     pool = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
     todo = [joblib.delayed(_attempt)(trial) for key, trial in wanted.items() if key not in found]
     try:
-        for key, figures in pool(todo):
-            found[key] = figures
-            if key in files and figures["status"] != "failed":
-                _write(files[key], wanted[key].settings, figures)
-            tell(len(found), len(wanted))
+        with _unhearing_children():
+            finished = pool(todo)
+        try:
+            for key, figures in finished:
+                found[key] = figures
+                if key in files and figures["status"] != "failed":
+                    _write(files[key], wanted[key].settings, figures)
+                tell(len(found), len(wanted))
+        finally:
+            # Ends the processes at once; that runs are lost then is no news.
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                finished.close()
     except BrokenExecutor as error:
         where = f", and kept in {folder}" if files else ""
         raise EosError(
@@ -220,6 +234,21 @@ def sweep(
             "Sweep again with fewer jobs, and look at what the process says"
         ) from error
     return [_cells(trial.settings) | found[trial.key] for trial in trials]
+
+
+@contextmanager
+def _unhearing_children() -> Iterator[None]:
+    """Start processes that do not hear Ctrl-C, which a terminal sends to all of them: the first one ends the others."""
+    if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    # Where it is started later it takes the mask away.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def write_table(rows: Sequence[Row], path: str | Path) -> Path:
@@ -265,7 +294,7 @@ def _columns(rows: Sequence[Row]) -> list[str]:
 def _attempt(trial: Trial) -> tuple[str, Row]:
     """Key and figures of a run, whatever becomes of it."""
     try:
-        figures = trial.figures(trial.run())
+        figures = trial.figures(uninterrupted(trial.run()))
     except Exception as error:  # one run that fails must not end the others
         told = str(error) if isinstance(error, EosError) else f"{type(error).__name__}: {error}".rstrip(": ")
         figures = {"status": "failed", "message": told}

@@ -17,6 +17,7 @@ TABLE = """
                 arrays
                 files
                 waypoints
+                interrupts
                 compiled
                 _kernels/flat       pinocchio
                 _kernels/plain      scipy
