@@ -18,9 +18,10 @@ from lxml import etree
 from eos_pin.arrays import Array, VectorLike, number, readonly, vector
 from eos_pin.errors import InputError, RobotError, UnknownNameError
 from eos_pin.library import available_robots, find_robot
+from eos_pin.notes import Notes, is_physical, oddities
 from eos_pin.robot import Robot, find_frame
 from eos_pin.shapes import Shapes, quiet, resolve_shapes
-from eos_pin.urdf import Urdf, read_urdf
+from eos_pin.urdf import Urdf, read_urdf, read_urdf_text
 
 T = TypeVar("T")
 
@@ -29,7 +30,13 @@ WORKING_FRAMES = (
     "tcp", "tool", "grasp", "grasping", "ee", "eef", "effector", "gripper", "tip", "flange", "palm", "hand"
 )  # fmt: skip
 #: Words in the name of a joint that say it belongs to a hand, not to the arm that carries it.
-HAND_JOINTS = {"gripper", "finger", "thumb", "index", "middle", "ring", "little", "pinky", "hand", "jaw"}
+HAND_JOINTS = {"gripper", "finger", "thumb", "index", "middle", "ring", "little", "pinky", "hand", "jaw", "claw"}
+#: Parts of the names of joints and links that occur in hands only.
+FINGERS = ("finger", "thumb", "knuckle", "pinky", "jaw")
+#: Words in the name of a frame that say that it measures something there.
+SENSORS = {"camera", "sensor", "imu", "optical", "lidar", "laser"}
+#: An arm has at least this many joints before its hand, and a finger no more than this.
+ARM_JOINTS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +86,7 @@ class Payload:
         object.__setattr__(self, "inertia", inertia)
         object.__setattr__(self, "mass", number(self.mass, "mass of a payload", at_least=0.0))
         object.__setattr__(self, "com", readonly(vector(self.com, 3, "centre of mass of a payload")))
-        if not _is_physical(self.spatial):
+        if not is_physical(self.spatial):
             raise InputError(
                 f"no body has the inertia {inertia.tolist()}: a principal moment exceeds the sum of the others"
             )
@@ -96,7 +103,7 @@ class Payload:
 
 
 def load_robot(
-    source: str | Path,
+    source: str | bytes | Path,
     *,
     lock: str | Sequence[str] | Mapping[str, float] = (),
     chain_to: str = "",
@@ -105,12 +112,13 @@ def load_robot(
     payload: Payload | Mapping[str, Any] | None = None,
     gravity: VectorLike | float | None = None,
 ) -> Robot:
-    """Robot from a URDF file, or by name.
+    """Robot from a URDF, which is a file or text, or by name.
 
     `load_robot(robot.source, **robot.options)` gives the same robot again.
 
     Args:
-        source: Path of a URDF, or a name of `available_robots()`, with or without `example-robot-data:`.
+        source: Path of a URDF, or a name of `available_robots()`, with or without `example-robot-data:`; or the text of
+            a URDF, beside which meshes are looked for in the current folder.
         lock: Joints to hold fixed: names, each held at 0 or the limit nearest to it, or a mapping of names to
             positions [rad or m].
         chain_to: Frame to which the joints from the base are kept. All others are locked, and what they carry
@@ -127,15 +135,15 @@ def load_robot(
     """
     tool, payload = _made(Tool, tool), _made(Payload, payload)
     folders = [Path(os.path.abspath(folder)) for folder in package_dirs]
-    path, canonical = _find(source)
-    urdf = read_urdf(path)
+    urdf, canonical = _read(source)
+    mimics = {joint.name: joint.mimics for joint in urdf.joints.values() if joint.mimics}
     if chain_to == "auto":
-        chain_to = _default_frame(_build(urdf, urdf.rewritten({})))
+        chain_to = _default_frame(_build(urdf, urdf.rewritten({})), mimics)
     locked = _locked(urdf, lock, tool.frame if tool is not None and chain_to == tool.name else chain_to)
-    notes = _check_joints(urdf, locked, is_chain=bool(chain_to))
+    notes = urdf.notes + _check_joints(urdf, locked, is_chain=bool(chain_to))
     root = urdf.rewritten(locked)
     model = _build(urdf, root)
-    notes += _odd_inertias(model) + resolve_shapes(root, path, folders)
+    notes += oddities(model, chain_to) + resolve_shapes(root, urdf.path, folders)
     if tool is not None:
         _add_frame(model, tool.name, tool.frame, pin.SE3(np.asarray(tool.placement)), pin.Inertia.Zero())
     if payload is not None:
@@ -154,6 +162,7 @@ def load_robot(
         options={key: value for key, value in options.items() if value},
         urdf_sha256=urdf.sha256,
         notes=notes,
+        mimics=mimics,
         shapes=Shapes(etree.tostring(root, encoding="unicode")),
     )
     return robot if gravity is None else robot.with_gravity(gravity)
@@ -166,13 +175,26 @@ def leaf_frames(robot: Robot) -> tuple[str, ...]:
 
 def default_frame(robot: Robot) -> str:
     """The frame a person most likely means: what the chain was loaded to, or where the longest arm ends."""
-    return str(robot.options.get("chain_to") or _default_frame(robot.model))
+    return str(robot.options.get("chain_to") or _default_frame(robot.model, robot.mimics))
 
 
 # -- arguments ---------------------------------------------------------------------------------------------------
 
 
-def _find(source: str | Path) -> tuple[Path, str]:
+def _read(source: str | bytes | Path) -> tuple[Urdf, str]:
+    """The URDF, and what to call it so that it is found again: a name, an absolute path, or its text."""
+    if isinstance(source, bytes) or (isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")):
+        return read_urdf_text(source)
+    if not isinstance(source, (str, os.PathLike)):
+        raise InputError(
+            f"a robot is given by name, path or text of a URDF, got {type(source).__name__}; of a pin.Model make "
+            "Robot(model)"
+        )
+    path, canonical = _find(source)
+    return read_urdf(path), canonical
+
+
+def _find(source: str | os.PathLike[str]) -> tuple[Path, str]:
     """The URDF file, and what to call it so that it is found again."""
     if isinstance(source, str):
         if (named := find_robot(source)) is not None:
@@ -226,8 +248,10 @@ def _position(urdf: Urdf, name: str, value: float | None) -> float:
 
 def _check_joints(urdf: Urdf, locked: Mapping[str, float], *, is_chain: bool) -> tuple[str, ...]:
     """Refuse joints that stay and cannot be controlled; notes about those taken for something else."""
-    stuck = [joint for joint in urdf.joints.values() if joint.stuck]
-    notes = [f"joint {joint.name!r} is locked: its limits are both {joint.lower:g}" for joint in stuck]
+    notes = Notes()
+    for joint in urdf.joints.values():
+        if joint.stuck:
+            notes.add(f"locked, because its limits are both {joint.lower:g}: @", joint.name)
     for joint in (urdf.joints[name] for name in urdf.moving if name not in locked):
         where = f"{urdf.path} line {joint.line}: joint {joint.name!r}"
         if not joint.has_one_degree:
@@ -241,12 +265,10 @@ def _check_joints(urdf: Urdf, locked: Mapping[str, float], *, is_chain: bool) ->
                 "or load the chain to a frame before it"
             )
         if joint.mimics:
-            notes.append(f"joint {joint.name!r} should mimic {joint.mimics!r}; here it moves on its own")
-        if joint.kind == "continuous":
-            notes.append(f"continuous joint {joint.name!r} is a revolute one without limits")
-        elif joint.unlimited:
-            notes.append(f"the limits of joint {joint.name!r} are 0 to 0, which is taken for none")
-    return tuple(notes)
+            notes.add(f"should mimic {joint.mimics!r}, and moves on its own here: @", joint.name)
+        if joint.kind != "continuous" and joint.unlimited and not any(joint.name in note for note in urdf.notes):
+            notes.add("limits of 0 to 0 are taken for none: @", joint.name)
+    return notes.sentences()
 
 
 def _build(urdf: Urdf, root: etree._Element) -> pin.Model:
@@ -259,19 +281,6 @@ def _build(urdf: Urdf, root: etree._Element) -> pin.Model:
         except (ValueError, RuntimeError) as error:
             reason = error
     raise RobotError(f"{urdf.path}: Pinocchio cannot build a model of it: {reason} {said[0]}") from reason
-
-
-def _odd_inertias(model: pin.Model) -> tuple[str, ...]:
-    """Note about moving bodies that cannot exist. They do no harm while M(q) > 0, and `Robot` checks that."""
-    odd = [model.names[i] for i in range(1, model.njoints) if not _is_physical(model.inertias[i])]
-    return (f"what joints {', '.join(odd)} move has an inertia no real body has; used as it stands",) if odd else ()
-
-
-def _is_physical(inertia: pin.Inertia) -> bool:
-    """Whether a distribution of mass has this inertia: no principal moment exceeds the sum of the others."""
-    moments = np.linalg.eigvalsh(inertia.inertia)
-    # Many files state moments to three digits.
-    return bool(inertia.mass >= 0.0 and moments.sum() - 2.0 * moments[-1] >= -2e-3 * np.abs(moments).max())
 
 
 def _add_frame(model: pin.Model, name: str, parent: str, placement: pin.SE3, inertia: pin.Inertia) -> None:
@@ -309,24 +318,54 @@ def _leaves(model: pin.Model) -> tuple[str, ...]:
     return tuple(frame.name for i, frame in enumerate(model.frames) if i and i not in parents)
 
 
-def _default_frame(model: pin.Model) -> str:
+def _default_frame(model: pin.Model, mimics: Mapping[str, str]) -> str:
     """Frame behind the most joints of an arm; among these the one with the best name."""
-    # A hand is where such names go on to the end; `elbow_ring` with an arm behind it is none.
-    is_hand = [not HAND_JOINTS.isdisjoint(_words(name)) for name in model.names]
-    for i in reversed(range(1, model.njoints)):
-        is_hand[i] = is_hand[i] and all(is_hand[child] for child in model.children[i])
-    if all(is_hand[1:]):
-        is_hand = [False] * model.njoints
+    is_hand = _hands(model, mimics)
     leaves = set(_leaves(model))
 
-    def merit(frame: pin.Frame) -> tuple[bool, int, int, bool]:
-        joints = model.supports[frame.parentJoint]
+    def merit(frame: pin.Frame) -> tuple[bool, bool, int, int, bool, bool]:
+        joints = list(model.supports[frame.parentJoint])
         words = _words(frame.name)
         rank = next((i for i, word in enumerate(WORKING_FRAMES) if word in words), len(WORKING_FRAMES))
-        return not any(is_hand[i] for i in joints), len(joints), -rank, frame.name in leaves
+        return (
+            not any(model.names[i] in mimics for i in joints),
+            not any(is_hand[i] for i in joints),
+            len(joints),
+            -rank,
+            SENSORS.isdisjoint(words),
+            frame.name in leaves,
+        )
 
     links = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
     return str(max((frame for frame in model.frames if frame.type in links), key=merit).name)
+
+
+def _hands(model: pin.Model, mimics: Mapping[str, str]) -> list[bool]:
+    """Whether each joint belongs to a hand, not to the arm that carries it; all False for a robot that is a hand."""
+    bodies = [""] * model.njoints
+    for frame in reversed(list(model.frames)):
+        if frame.type == pin.FrameType.BODY:
+            # In the end the first one: the link that the joint itself moves.
+            bodies[frame.parentJoint] = frame.name
+    followed = set(mimics.values()) | set(mimics)
+    is_hand = [
+        not HAND_JOINTS.isdisjoint(_words(joint))
+        or any(word in name.lower() for name in (joint, body) for word in FINGERS)
+        or joint in followed
+        for joint, body in zip(model.names, bodies, strict=True)
+    ]
+    # A hand goes on as one to its end; `elbow_ring` with an arm behind it is none.
+    depth = [0] * model.njoints
+    for i in reversed(range(1, model.njoints)):
+        is_hand[i] = is_hand[i] and all(is_hand[child] for child in model.children[i])
+        depth[i] = 1 + max((depth[child] for child in model.children[i]), default=0)
+    for i in range(1, model.njoints):
+        # Where an arm ends in several short branches, these are fingers, whatever they are called.
+        branches = list(model.children[i])
+        if len(model.supports[i]) > ARM_JOINTS and len(branches) > 1 and max(depth[b] for b in branches) < ARM_JOINTS:
+            for joint in (joint for branch in branches for joint in model.subtrees[branch]):
+                is_hand[joint] = True
+    return is_hand if not all(is_hand[1:]) else [False] * model.njoints
 
 
 def _words(name: str) -> set[str]:

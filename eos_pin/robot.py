@@ -74,7 +74,8 @@ class Robot:
         source: Where it was loaded from, in a form `load_robot` takes; empty if built in memory.
         options: The arguments of `load_robot` beside `source`, so that a saved run can find its robot again.
         urdf_sha256: Hash of the URDF text; empty if built in memory.
-        notes: What loading changed or could not find, in sentences for people.
+        notes: What loading changed, could not find or found odd, in sentences for people.
+        mimics: The joint that each joint should follow, by the name of the follower; here all move on their own.
         shapes: What has its visual and its collision geometry, read when first asked for; None without shapes.
 
     Raises:
@@ -88,6 +89,7 @@ class Robot:
     options: Mapping[str, Any] = field(default_factory=dict)
     urdf_sha256: str = ""
     notes: tuple[str, ...] = ()
+    mimics: Mapping[str, str] = field(default_factory=dict)
     shapes: HasShapes | None = None
 
     def __post_init__(self) -> None:
@@ -173,15 +175,7 @@ class Robot:
     @cached_property
     def reach(self) -> float:
         """Length from joint to joint to the last frame [m]: an upper bound for how far it gets; 1 without extent."""
-        model, end = self.model, self.options.get("chain_to")
-        steps = [np.linalg.norm(placement.translation) for placement in list(model.jointPlacements)[2:]]
-        # Beyond the end of a chain there may be a whole robot that is locked.
-        last = [
-            np.linalg.norm(frame.placement.translation)
-            for frame in model.frames
-            if frame.parentJoint == model.njoints - 1 and end in (None, frame.name)
-        ]
-        return float(sum(steps) + max(last, default=0.0)) or 1.0
+        return reach_of(self.model, str(self.options.get("chain_to", ""))) or 1.0
 
     @cached_property
     def frames(self) -> tuple[str, ...]:
@@ -254,10 +248,10 @@ class Robot:
                 and frame.parentJoint in beyond
                 and not self.model.inertias[frame.parentJoint].mass > 0.0
             ]
-            advice = f"give mass and inertia to links {_listed(links)}" if links else "check the <inertial> elements"
+            advice = f"give mass and inertia to links {listed(links)}" if links else "check the <inertial> elements"
             return (
                 f"robot {self.name!r} cannot be controlled by torque: joints "
-                f"{_listed([self.model.names[i] for i in weightless])} move no mass (M(q) is singular {where}). "
+                f"{listed([self.model.names[i] for i in weightless])} move no mass (M(q) is singular {where}). "
                 f"For dynamics, {advice}, or lock these joints; kinematics needs none"
             )
         scale = 1.0 / np.sqrt(np.diag(M))
@@ -357,7 +351,19 @@ class Robot:
         return f"Robot({self.name!r}, n={self.n})"
 
 
-def _listed(names: list[str], most: int = 8) -> str:
+def reach_of(model: pin.Model, end: str = "") -> float:
+    """Length from joint to joint to the last frame [m], or to the frame `end` of a chain."""
+    steps = [np.linalg.norm(placement.translation) for placement in list(model.jointPlacements)[2:]]
+    # Beyond the end of a chain there may be a whole robot that is locked.
+    last = [
+        np.linalg.norm(frame.placement.translation)
+        for frame in model.frames
+        if frame.parentJoint == model.njoints - 1 and end in ("", frame.name)
+    ]
+    return float(sum(steps) + max(last, default=0.0))
+
+
+def listed(names: list[str], most: int = 8) -> str:
     """The first names, and how many more there are."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 

@@ -24,9 +24,9 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
+from eos_pin.checking import Checker
 from eos_pin.errors import RobotError
 from eos_pin.library import example_robots
-from eos_pin.urdf import Checker
 
 #: The shapes a URDF can have, and how many numbers each of their attributes holds.
 SHAPES: dict[str, dict[str, int]] = {
@@ -143,7 +143,7 @@ def resolve_shapes(root: etree._Element, path: Path, package_dirs: Sequence[Path
             if files[name] is None:
                 link.remove(shape)
             else:
-                mesh.set("filename", str(files[name]))
+                mesh.set("filename", os.path.abspath(str(files[name])))
     missing = [name for name, file in files.items() if file is None]
     if missing:
         first = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")

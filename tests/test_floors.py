@@ -25,7 +25,10 @@ TABLE = """
                 _kernels/kinematics
     1 robot     workspace       pinocchio
                 robot           pinocchio
+                notes           pinocchio
                 library
+                markup          lxml
+                checking        lxml
                 urdf            lxml pinocchio
                 shapes          coal lxml pinocchio yourdfpy
                 loading         lxml pinocchio

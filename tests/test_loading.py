@@ -17,10 +17,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from eos_pin.checking import DEEPEST_TREE
 from eos_pin.errors import EosError, InputError, RobotError, UnknownNameError
 from eos_pin.library import available_robots, example_robots
 from eos_pin.loading import Payload, Tool, default_frame, leaf_frames, load_robot
-from eos_pin.urdf import DEEPEST_TREE
 
 EXACT = 1e-11
 ROBOTS = {robot.name: robot for robot in available_robots()}
@@ -132,7 +132,7 @@ def test_continuous_joints_become_revolute_with_the_same_dynamics(name):
         assert joint.velocity == original.velocityLimit[i] or np.isinf(joint.velocity)
         if joint.kind == "continuous":
             assert (joint.lower, joint.upper) == (-np.inf, np.inf)
-    assert any("continuous" in note for note in robot.notes)
+    assert all("continuous, so that" in note for note in robot.notes if "fixed" not in note)
 
 
 # -- locking -----------------------------------------------------------------------------------------------------
@@ -196,7 +196,7 @@ def test_a_joint_whose_limits_leave_no_room_is_locked(urdf):
     end = text.index("/>", start)
     stuck = load_robot(urdf(text[:start] + 'lower="0.3" upper="0.3"' + text[end:]), chain_to="panda_hand")
     locked = load_robot("panda", chain_to="panda_hand", lock={"panda_joint3": 0.3})
-    assert stuck.notes == ("joint 'panda_joint3' is locked: its limits are both 0.3",)
+    assert stuck.notes == ("locked, because its limits are both 0.3: panda_joint3",)
     q = np.linspace(-0.5, 0.5, 6)
     assert np.array_equal(stuck.mass(q), locked.mass(q))
 
@@ -515,6 +515,218 @@ def test_many_links(urdf):
     row += '<link name="last"/>' + joint("flast", "fixed", names[-1], "last", "")
     with pytest.raises(RobotError, match="in a row"):
         load_robot(urdf(arm(joint() + row)))
+
+
+ODD = {
+    "xml 0.0": ('<?xml version="0.0" ?>\n', "", "the XML declaration"),
+    "no version": ("<?xml encoding='utf-8'?>", "", "the XML declaration"),
+    "blank lines first": ('\n \n<?xml version="1.0"?>', "", "the XML declaration"),
+    "a mark and blank lines first": ('\ufeff\n<?xml version="1.0"?>', "", "the XML declaration"),
+    "blank lines and a mark first": ("\n\ufeff", "", "a byte order mark"),
+    "dashes in a comment": ("<!-- a -- b --->", "", "comments with --"),
+    "a comment of dashes": ("<!------- robot ------->", "", "comments with --"),
+    "axis of a fixed joint without xyz": ("", joint("f", "fixed", "b", "c", "<axis/>"), "fixed, so that .*: f$"),
+    "axis of a fixed joint of two numbers": ("", joint("f", "fixed", "b", "c", '<axis xyz="0 1"/>'), ""),
+    "limits of a fixed joint crossed": (
+        "", joint("f", "fixed", "b", "c", '<limit lower="2" upper="-2"/>'), "fixed, so that .*: f$",
+    ),
+    "limits of a fixed joint kept": ("", joint("f", "fixed", "b", "c", LIMIT), ""),
+    "limits of a continuous joint crossed": (
+        "", joint("k", "continuous", "b", "c", '<limit lower="2" upper="-2" effort="1"/>'), "continuous, so .*: k$",
+    ),
+    "limits of a continuous joint": ("", joint("k", "continuous", "b", "c", LIMIT), "continuous, so .*: k$"),
+    "limits of a continuous joint that are words": (
+        "", joint("k", "continuous", "b", "c", '<limit lower="none" upper="none"/>'), "continuous, so .*: k$",
+    ),
+    "limits from 1 to 0": (
+        "", joint("k", parent="b", child="c", inner='<limit lower="1" upper="0" effort="1"/>'), "1 to 0 .* none: k$",
+    ),
+    "negative effort": (
+        "", joint("k", parent="b", child="c", inner='<limit upper="1" effort="-1" velocity="1"/>'), "effort .*: k$",
+    ),
+    "negative velocity": (
+        "", joint("k", parent="b", child="c", inner='<limit upper="1" effort="1" velocity="-1"/>'), "velocity .*: k$",
+    ),
+    "what xacro defined": (
+        "",
+        '<xacro:property name="m" value="2"/>'
+        '<xacro:macro name="box" params="p"><link name="${p}"/><joint name="${p}j" type="fixed"/></xacro:macro>',
+        "xacro, and not used: <xacro:property>, <xacro:macro>",
+    ),
+    "values for xacro beside the robot": (
+        "", '<gazebo reference="${p}b"><file>a</file></gazebo>', "xacro, and not used: values of <gazebo>",
+    ),
+    "attributes of xacro": ("", "<link name='d' xacro:if='1'/>" + joint("f", "fixed", "b", "d", ""), "attributes of"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize(("before", "inside", "note"), ODD.values(), ids=ODD)
+def test_what_other_parsers_read_is_read_with_a_note(before, inside, note, encoding, urdf, capfd):
+    more = f'<link name="c">{INERTIAL}</link>' if 'child link="c"' in inside else ""
+    text = before + arm(joint() + inside, links=f'<link name="a"/><link name="b">{INERTIAL}</link>{more}')
+    for source in (urdf(text.encode(encoding)), text, text.encode(encoding)):
+        robot = load_robot(source)
+        # Text has no use for a declaration, so it does not matter how odd it is.
+        if note and not ("declaration" in note and not isinstance(source, os.PathLike)):
+            assert re.search(note, " | ".join(robot.notes))
+        else:
+            assert robot.notes == ()
+        first, *others = robot.joints
+        assert (first.lower, first.upper, first.velocity, first.effort) == (-1.0, 1.0, 1.0, 1.0)
+        for other in others:
+            assert (other.lower, other.upper) in ((-np.inf, np.inf), (0.0, 1.0))
+            assert min(other.velocity, other.effort) > 0.0
+    assert capfd.readouterr() == ("", "")
+
+
+def test_lines_are_counted_as_in_the_file_where_it_is_not_quite_xml(urdf):
+    text = '\n<?xml version="1.0"\n?>\n<!-- -- \n -->\n' + arm(joint(kind="hinge"))
+    line = text[: text.index("<joint")].count("\n") + 1
+    for source in (urdf(text), text):
+        with pytest.raises(RobotError, match=f" line {line}: joint 'j' has type"):
+            load_robot(source)
+
+
+def test_what_is_refused_is_named_with_its_joint_or_link(urdf):
+    wrong = {
+        "xyz=\"0 1\" of <origin> is not 3 finite numbers, in joint 'j'": arm(
+            joint(inner=LIMIT + '<origin xyz="0 1"/>')
+        ),
+        "effort=\"lots\" of <limit> is not a finite number, in joint 'j'": arm(joint(inner='<limit effort="lots"/>')),
+        "the <axis> of joint 'j' has no xyz": arm(joint(inner=LIMIT + "<axis/>")),
+        "value=\"m\" of <mass> is not a finite number, in link 'b'": arm().replace('mass value="1"', 'mass value="m"'),
+        'name="${p}" of <link> is for xacro to fill in': arm(links='<link name="a"/><link name="${p}"/>'),
+        'xyz="${x} 0 0" of <origin> is for xacro to fill in; run `xacro FILE': arm(
+            joint(inner=LIMIT + '<origin xyz="${x} 0 0"/>')
+        ),
+        "this is a xacro file": arm(joint() + "<xacro:gripper/>"),
+    }
+    for message, text in wrong.items():
+        path = urdf(text)
+        with pytest.raises(RobotError, match=re.escape(message)) as caught:
+            load_robot(path)
+        assert re.match(re.escape(str(path)) + r" line \d: ", str(caught.value))
+
+
+def test_text_and_bytes_are_urdfs_as_well(monkeypatch, tmp_path, urdf):
+    text = ROBOTS["panda"].path.read_text()
+    of_file, of_text = load_robot("panda", chain_to="panda_hand"), load_robot(text, chain_to="panda_hand")
+    q = np.linspace(-0.5, 0.5, 7)
+    assert np.array_equal(of_file.mass(q), of_text.mass(q))
+    assert of_text.options == of_file.options
+    again = load_robot(of_text.source, **of_text.options)
+    assert (again.source, again.urdf_sha256) == (of_text.source, of_text.urdf_sha256)
+    for encoding in ("utf-8", "utf-8-sig", "utf-16", "latin-1"):
+        declared = f'<?xml version="1.0" encoding="{encoding.removesuffix("-sig")}"?>' + arm(name='name="Räuber"')
+        assert load_robot(declared.encode(encoding)).name == load_robot(declared).name == "Räuber"
+    # Meshes are looked for beside the current folder.
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "part.stl").write_text("solid\nendsolid\n")
+    mesh = '<visual><geometry><mesh filename="part.stl"/></geometry></visual>'
+    shaped = arm(links=f'<link name="a"/><link name="b">{mesh}{INERTIAL}</link>')
+    assert load_robot(shaped).notes == ()
+    assert "mesh files were not found" in load_robot(shaped.replace("part", "lost")).notes[0]
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("<robot", "the URDF text line 1: not well-formed"),
+        ("<sdf/>", "the URDF text line 1: the root element is <sdf>"),
+        (b"\xff\xfe<robot ", "not text in the encoding utf-16"),
+        (b'<?xml version="1.0" encoding="klingon"?><robot/>', "not text in the encoding klingon"),
+        (b"", "empty|not well-formed"),
+    ],
+)
+def test_text_that_is_no_urdf_is_refused(source, message):
+    with pytest.raises(RobotError, match=message):
+        load_robot(source)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("source", [pin.Model(), None, 7])
+def test_what_is_no_source_is_refused(source):
+    with pytest.raises(InputError, match=r"given by name, path or text .* Robot\(model\)"):
+        load_robot(source)
+
+
+UNITS = {
+    "millimetres": (' xyz="0 0 900"', "", "reaches 900 m; .* millimetres"),
+    "centimetres": (' xyz="0 0 90"', "", "reaches 90 m; .* centimetres"),
+    "metres": (' xyz="0 0 0.9"', "", ""),
+    "degrees": (' xyz="0 0 0.9"', '<limit lower="-170" upper="170"/>', "look like degrees.*: j$"),
+    "many turns": (' xyz="0 0 0.9"', '<limit lower="-1e4" upper="1e4"/>', ""),
+    "grams": (' xyz="0 0 0.9"', "", "mass of 2e\\+04 kg"),
+    "a crumb": (' xyz="0 0 0.9"', "", "mass of 2e-06 kg"),
+    "wide": (' xyz="0 0 0.9"', "", "larger than the robot"),
+}
+
+
+@pytest.mark.parametrize(("place", "limit", "note"), UNITS.values(), ids=UNITS)
+def test_numbers_in_other_units_are_noted(place, limit, note, urdf, request):
+    mass, inertia = {"grams": (2e4, 1.0), "a crumb": (2e-6, 1e-9), "wide": (1.0, 2.0)}.get(
+        request.node.callspec.id, (1.0, 0.1)
+    )
+    inertial = f'<inertial><mass value="{mass}"/><inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}"/></inertial>'
+    tip = joint("f", "fixed", "b", "tip", f"<origin{place}/>")
+    text = arm(
+        joint(inner=limit or LIMIT) + tip, links=f'<link name="a"/><link name="b">{inertial}</link><link name="tip"/>'
+    )
+    notes = load_robot(urdf(text), chain_to="tip").notes
+    assert [bool(re.search(note, each)) for each in notes] == [True] if note else notes == ()
+
+
+# -- the default frame -------------------------------------------------------------------------------------------
+
+
+def carrying(hand, *, joints=5):
+    """An arm with a flange, and what is fixed to it."""
+    names = [f"l{i}" for i in range(joints + 1)]
+    text = "".join(joint(f"j{i}", parent=a, child=b) for i, (a, b) in enumerate(itertools.pairwise(names), 1))
+    text += joint("fj", "fixed", names[-1], "flange", "")
+    links = [*names, "flange", *re.findall(r'child link="(\w+)"', hand)]
+    return arm(text + hand, links="".join(f'<link name="{link}">{INERTIAL}</link>' for link in links))
+
+
+MIMIC = LIMIT + '<mimic joint="drive"/>'
+HANDS = {
+    "a driven joint and its follower behind it": joint("drive", parent="flange", child="d")
+    + joint("pad", parent="d", child="p", inner=MIMIC),
+    "a follower at the flange": joint("drive", parent="flange", child="d")
+    + joint("other", parent="flange", child="e", inner=MIMIC),
+    "a follower that carries the longest branch": joint("drive", parent="flange", child="d")
+    + joint("k1", parent="flange", child="e", inner=MIMIC)
+    + joint("k2", parent="e", child="f")
+    + joint("k3", parent="f", child="tool"),
+    "links called fingers": joint("g7", parent="flange", child="leftfinger")
+    + joint("g8", parent="flange", child="rightfinger"),
+    "knuckles": joint("left_inner_knuckle", parent="flange", child="n"),
+    "branches without telling names": joint("a7", parent="flange", child="u")
+    + joint("b7", parent="flange", child="w")
+    + joint("b8", parent="w", child="x"),
+    "a camera beside the flange": joint("c", "fixed", "l5", "camera_link", ""),
+}
+
+
+@pytest.mark.parametrize("hand", HANDS.values(), ids=HANDS)
+def test_the_default_frame_is_the_flange_whatever_it_carries(hand, urdf):
+    path = urdf(carrying(hand))
+    robot = load_robot(path, chain_to="auto")
+    assert (robot.n, robot.options["chain_to"]) == (5, "flange")
+    assert default_frame(load_robot(path)) == "flange"
+
+
+def test_the_default_frame_of_an_arm_with_a_follower_in_it_is_before_the_follower(urdf):
+    text = carrying("").replace('name="j2"', 'name="drive"')
+    text = text.replace(joint("j4", parent="l3", child="l4"), joint("j4", parent="l3", child="l4", inner=MIMIC))
+    robot = load_robot(urdf(text), chain_to="auto")
+    assert (robot.n, robot.options["chain_to"]) == (3, "l3")
+
+
+def test_a_hand_alone_is_a_robot(urdf):
+    robot = load_robot(urdf(carrying("", joints=3).replace('name="j', 'name="finger_j')), chain_to="auto")
+    assert robot.options["chain_to"] == "flange"
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
