@@ -134,7 +134,7 @@ def compare(
     console.print(grid(f"{machine.name}: {goal!r}", columns, rows))
     for name, summary in summaries.items():
         if summary["message"]:
-            console.print(f"{name}: {summary['message']}")
+            console.print(f"{name}: {summary['message']}", markup=False)
     names = {"json": "summary.json", "plot": "comparison.png"}
     files = output.within(Path("runs") / f"{Path(robot.robot).stem}-compare", names=names)
     from eos_pin import plots
@@ -213,7 +213,7 @@ def ik(
     console.print(grid(f"{machine.name}: {goal!r}", ("joint", "value", "lower", "upper"), rows))
     console.print(f"{way}, {figures['charts']} charts, task error {figure(residual)}")
     if message:
-        stderr.print(f"[bold]not reached:[/] {message}")
+        stderr.print(f"not reached: {message}", markup=False)
     elif way == "jump":
         stderr.print("These joints are not connected to q0 through charts: v starts anew there.")
     outside = (joints < machine.lower) | (joints > machine.upper)

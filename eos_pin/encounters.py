@@ -53,7 +53,7 @@ def encounter(application: Application, output: Output, title: str) -> int:
     console.print(grid(title, ("", *runs), cells))
     avoiding, result = measured["v makes way"], runs["v makes way"]
     if result.message:
-        console.print(result.message)
+        console.print(result.message, markup=False)
     holds = {
         "the path is completed": result.ok,
         "every body is clear of every obstacle": avoiding["clearance_min_between_points"] > 0.0,

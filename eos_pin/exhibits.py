@@ -46,7 +46,7 @@ def exhibit(
     console.print(run_rows(f"Sec. {example.section}: {example.title}", results))
     for name, result in results.items():
         if result.message:
-            console.print(f"{name}: {result.message}")
+            console.print(f"{name}: {result.message}", markup=False)
         if len(result.switches):
             times = ", ".join(figure(t) for t in result.switches[:9])
             console.print(f"{name}: charts left at {times}{' ...' if len(result.switches) > 9 else ''} s")

@@ -42,7 +42,7 @@ class FrameTask(Task):
         return pin.updateFramePlacement(self._model, data, self._id).homogeneous.ravel()[FLAT[self._part]]
 
     def _J(self, data: pin.Data) -> Jacobian:
-        return pin.getFrameJacobian(self._model, data, self._id, WORLD)[self._rows]
+        return pin.getFrameJacobian(self._model, data, self._id, WORLD).reshape(6, -1)[self._rows]
 
     def _drift(self, data: pin.Data) -> TaskVector:
         return pin.getFrameClassicalAcceleration(self._model, data, self._id, WORLD).vector[self._rows]

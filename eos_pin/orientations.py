@@ -121,7 +121,7 @@ class HeadingTask(Task, kind="heading"):
         self.frame = frame
         self._id = robot.frame_id(frame)
         super().__init__(robot, ("heading",), ("rad",))
-        tilting = pin.computeFrameJacobian(self._model, self._data, self._rest, self._id, WORLD)[3:5]
+        tilting = pin.computeFrameJacobian(self._model, self._data, self._rest, self._id, WORLD).reshape(6, -1)[3:5]
         if np.abs(tilting).max() > 1e-9:
             raise InputError(f"frame {frame!r} of {robot.name!r} also turns about x or y; use OrientationTask")
 
@@ -130,7 +130,7 @@ class HeadingTask(Task, kind="heading"):
         return np.array([math.atan2(R[1, 0], R[0, 0])])
 
     def _J(self, data: pin.Data) -> Jacobian:
-        return pin.getFrameJacobian(self._model, data, self._id, WORLD)[5:]
+        return pin.getFrameJacobian(self._model, data, self._id, WORLD).reshape(6, -1)[5:]
 
     def _drift(self, data: pin.Data) -> TaskVector:
         return pin.getFrameClassicalAcceleration(self._model, data, self._id, WORLD).angular[2:]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -280,7 +281,9 @@ def save(figure: Figure, path: str | Path) -> Path:
     undated: dict[str, dict[str, Any]] = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
     if suffix not in undated:
         raise InputError(f"cannot write a figure as {path.name!r}: its name must end in .png, .pdf or .svg")
-    with style():
+    with style(), warnings.catch_warnings():
+        # Letters that the font lacks are drawn as boxes; that is to be seen, and needs no line on the terminal.
+        warnings.filterwarnings("ignore", "Glyph ")
         write_atomically(path, lambda file: figure.savefig(file, format=suffix, metadata=undated[suffix]))
     return path
 

@@ -82,7 +82,7 @@ class RelativePositionTask(Task, kind="relative_position"):
     def _relative(self, data: pin.Data) -> tuple[Array, Array, Array, Array]:
         frame = pin.updateFramePlacement(self._model, data, self._id)
         reference = pin.updateFramePlacement(self._model, data, self._reference_id)
-        J, J_ref = (pin.getFrameJacobian(self._model, data, i, WORLD) for i in (self._id, self._reference_id))
+        J, J_ref = (pin.getFrameJacobian(self._model, data, i, WORLD).reshape(6, -1) for i in (self._id, self._reference_id))
         return reference.rotation.copy(), frame.translation - reference.translation, J, J_ref
 
 
@@ -115,7 +115,7 @@ class ComTask(Task, kind="com"):
         return data.com[0][self._rows].copy()
 
     def _J(self, data: pin.Data) -> Jacobian:
-        return pin.jacobianCenterOfMass(self._model, data, False)[self._rows]
+        return pin.jacobianCenterOfMass(self._model, data, False).reshape(3, -1)[self._rows]
 
     def _drift(self, data: pin.Data) -> TaskVector:
         pin.centerOfMass(self._model, data, pin.KinematicLevel.ACCELERATION, False)

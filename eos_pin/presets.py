@@ -222,7 +222,7 @@ def _is_planar(robot: Robot, frame: str) -> bool:
     """Whether a frame keeps its height and only ever turns about the vertical."""
     for q in _postures(robot):
         J = pin.computeFrameJacobian(robot.model, robot._data, q, robot.frame_id(frame), pin.LOCAL_WORLD_ALIGNED)
-        if np.abs(J[2:5]).max() > 1e-9:
+        if np.abs(J.reshape(6, -1)[2:5]).max() > 1e-9:
             return False
     return True
 

@@ -18,11 +18,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from eos_pin.arrays import JointVector
 from eos_pin.errors import EosError
 from eos_pin.files import write_atomically
 from eos_pin.interrupts import patient_interrupts
+from eos_pin.terminal import shown, spell_output
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,9 +36,17 @@ if TYPE_CHECKING:
     from eos_pin.scene import Scene
     from eos_pin.targets import Trajectory
 
+
+class Terminal(Console):
+    """A console that lays text out in the letters its encoding has."""
+
+    def render_str(self, text: str, *args: Any, **kwargs: Any) -> Text:
+        return super().render_str(shown(text, self.encoding), *args, **kwargs)
+
+
 #: Where tables go; errors and progress go to stderr.
-console = Console(highlight=False)
-stderr = Console(stderr=True, highlight=False)
+console = Terminal(highlight=False, emoji=False)
+stderr = Terminal(stderr=True, highlight=False, emoji=False)
 
 
 @dataclass(frozen=True)
@@ -208,9 +218,9 @@ def say_notes(made: Robot | Trajectory) -> None:
 
 
 def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
-    """Table whose numbers stand right and whose words stand left."""
-    filled = [[figure(cell) if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
-    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    """Table whose numbers stand right and whose words stand left; cells are shown as they stand, brackets and all."""
+    filled = [[figure(cell) if isinstance(cell, float) else escape(str(cell)) for cell in row] for row in rows]
+    table = Table(title=escape(title), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for i, name in enumerate(columns):
         numeric = all(row[i][:1] in "-0123456789in" for row in filled)
         table.add_column(name, justify="right" if numeric else "left", no_wrap=True)
@@ -221,8 +231,9 @@ def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> T
 
 def run_table(summary: Mapping[str, Any]) -> Table:
     """Table of what happened in one run."""
-    table = Table(title=f"{summary['robot']}: {summary['frame'] or summary['task'].get('kind', '')}", show_header=False)
-    table.add_row("status", summary["status"] + (f": {summary['message']}" if summary["message"] else ""))
+    title = f"{summary['robot']}: {summary['frame'] or summary['task'].get('kind', '')}"
+    table = Table(title=escape(title), show_header=False)
+    table.add_row("status", escape(summary["status"] + (f": {summary['message']}" if summary["message"] else "")))
     table.add_row("joints n, task m, redundancy r", f"{summary['n']}, {summary['m']}, {summary['r']}")
     period = f" of {summary['period']:g} s" if summary["period"] else ""
     table.add_row("duration", f"{summary['duration']:g} s, {summary['cycles']} cycles{period}")
@@ -242,6 +253,7 @@ def run_table(summary: Mapping[str, Any]) -> Table:
 
 def guarded(command: Callable[[], int]) -> int:
     """Exit code of a command; bad input and Ctrl-C are told in one paragraph."""
+    spell_output()
     try:
         with patient_interrupts():
             return command()

@@ -16,6 +16,7 @@ TABLE = """
     0 ground    errors
                 arrays
                 files
+                terminal
                 waypoints
                 interrupts
                 compiled

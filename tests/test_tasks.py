@@ -331,3 +331,28 @@ def test_a_stack_is_its_parts_one_after_the_other(panda):
     assert stack.labels == ("rx", "ry", "rz", "z")
     twice = StackedTask([PositionTask(panda, "panda_link4"), PositionTask(panda, "panda_hand_tcp")])
     assert twice.labels == ("x1", "y1", "z1", "x2", "y2", "z2")
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda robot: PositionTask(robot, "tip", "x"),
+        lambda robot: PositionTask(robot, "tip", "x", reference="base"),
+        lambda robot: ComTask(robot, "x"),
+        lambda robot: HeadingTask(robot, "tip"),
+    ],
+    ids=["position", "relative position", "centre of mass", "heading"],
+)
+def test_a_robot_of_one_joint_has_a_jacobian_of_one_column(make):
+    # Pinocchio gives a vector where there is one column.
+    inertial = '<inertial><origin xyz="0.2 0 0"/><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+    robot = load_robot(
+        f'<robot name="one"><link name="base"/><link name="arm">{inertial}</link><link name="tip"/>'
+        '<joint name="j" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/></joint>'
+        '<joint name="f" type="fixed"><parent link="arm"/><child link="tip"/><origin xyz="0.4 0 0"/></joint></robot>'
+    )
+    task, q, step = make(robot), np.array([0.4]), 1e-6
+    z, J = task.linearize(q)
+    slope = task.minus(task.value(q + step), task.value(q - step)) / (2.0 * step)
+    assert J.shape == task.at(q, q).J.shape == (1, 1)
+    np.testing.assert_allclose(J[:, 0], slope, atol=1e-8)
