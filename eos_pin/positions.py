@@ -82,7 +82,9 @@ class RelativePositionTask(Task, kind="relative_position"):
     def _relative(self, data: pin.Data) -> tuple[Array, Array, Array, Array]:
         frame = pin.updateFramePlacement(self._model, data, self._id)
         reference = pin.updateFramePlacement(self._model, data, self._reference_id)
-        J, J_ref = (pin.getFrameJacobian(self._model, data, i, WORLD).reshape(6, -1) for i in (self._id, self._reference_id))
+        J, J_ref = (
+            pin.getFrameJacobian(self._model, data, i, WORLD).reshape(6, -1) for i in (self._id, self._reference_id)
+        )
         return reference.rotation.copy(), frame.translation - reference.translation, J, J_ref
 
 

@@ -22,6 +22,7 @@ from eos_pin import (
     RelativePositionTask,
     StackedTask,
     UnknownNameError,
+    load_robot,
     task_from,
 )
 
@@ -337,7 +338,7 @@ def test_a_stack_is_its_parts_one_after_the_other(panda):
     "make",
     [
         lambda robot: PositionTask(robot, "tip", "x"),
-        lambda robot: PositionTask(robot, "tip", "x", reference="base"),
+        lambda robot: RelativePositionTask(robot, "tip", "base", "x"),
         lambda robot: ComTask(robot, "x"),
         lambda robot: HeadingTask(robot, "tip"),
     ],
@@ -352,7 +353,7 @@ def test_a_robot_of_one_joint_has_a_jacobian_of_one_column(make):
         '<joint name="f" type="fixed"><parent link="arm"/><child link="tip"/><origin xyz="0.4 0 0"/></joint></robot>'
     )
     task, q, step = make(robot), np.array([0.4]), 1e-6
-    z, J = task.linearize(q)
+    _, J = task.linearize(q)
     slope = task.minus(task.value(q + step), task.value(q - step)) / (2.0 * step)
     assert J.shape == task.at(q, q).J.shape == (1, 1)
     np.testing.assert_allclose(J[:, 0], slope, atol=1e-8)
