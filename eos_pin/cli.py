@@ -128,13 +128,25 @@ def compare(
             drift[-1],
             summary["kinetic_energy_mean"],
             summary["torque_max"],
+            summary["limit_ratio_max"],
         )
         rows.append((name, summary["status"], *quantities))
-    columns = ("controller", "status", "task error", "first drift", "last drift", "mean energy", "max torque")
+    columns = (
+        "controller",
+        "status",
+        "task error",
+        "first drift",
+        "last drift",
+        "mean energy",
+        "max torque",
+        "of limits",
+    )
     console.print(grid(f"{machine.name}: {goal!r}", columns, rows))
     for name, summary in summaries.items():
         if summary["message"]:
             console.print(f"{name}: {summary['message']}", markup=False)
+        if summary["limits"]["passed"]:
+            console.print(f"{name}: limits {summary['limits']['told']}", markup=False)
     names = {"json": "summary.json", "plot": "comparison.png"}
     files = output.within(Path("runs") / f"{Path(robot.robot).stem}-compare", names=names)
     from eos_pin import plots

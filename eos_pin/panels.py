@@ -34,8 +34,12 @@ from eos_pin.drawing import (
     use_decades,
 )
 from eos_pin.errors import InputError
+from eos_pin.margins import POSITION_PASSED
 from eos_pin.results import Result
 from eos_pin.robot import Robot
+
+#: A joint that uses more of its range than this is near its limits, and the colour in which it passes them.
+NEAR, PASSED = 0.8, "#E00000"
 
 
 def plot_path(ax: Axes, result: Result) -> None:
@@ -60,8 +64,12 @@ def plot_path(ax: Axes, result: Result) -> None:
 
 
 def plot_joints(ax: Axes, result: Result, robot: Robot | None = None, *, per_cycle: int = 1) -> None:
-    """Joints over time, with a grey line and dots at each exact 1/`per_cycle` of the reference's period."""
+    """Joints over time, with a grey line and dots at each exact 1/`per_cycle` of the reference's period.
+
+    A joint's limits are dashed lines in its colour where the run comes near them, and it is red where it passes them.
+    """
     colors = draw_lines(ax, result.t, result.q, "q")
+    _draw_joint_limits(ax, result, colors)
     if result.cycles:
         times = key_times(result, per_cycle=per_cycle)
         # More marks than these would be a grey area.
@@ -72,6 +80,22 @@ def plot_joints(ax: Axes, result: Result, robot: Robot | None = None, *, per_cyc
             ax.plot(times, row, "o", color=color, markersize=2.4, clip_on=False)
     name_time(ax, result)
     _set_ylabel(ax, "joints", joint_units(robot))
+
+
+def _draw_joint_limits(ax: Axes, result: Result, colors: Sequence[Any]) -> None:
+    """Limits of the joints that use most of their range, as far as they are in view."""
+    limits, used = result.info.get("limits") or {}, result.limits.get("position", {})
+    low, high = ax.get_ylim()
+    for side, sign in (("lower", -1.0), ("upper", 1.0)):
+        parts = zip(colors, result.q.T, limits.get(side, ()), used.get("per_joint", {}).values(), strict=False)
+        for color, q, limit, ratio in parts:
+            if limit is None or not (ratio > NEAR and low < limit < high):
+                continue
+            ax.axhline(limit, color=color, linewidth=0.7, linestyle="--", zorder=1)
+            beyond = np.where(sign * (q - limit) > POSITION_PASSED, q, np.nan)
+            if np.isfinite(beyond).any():
+                ax.plot(result.t, beyond, color=PASSED, linewidth=2.5, alpha=0.7)
+    ax.set_ylim(low, high)
 
 
 def plot_orbit(

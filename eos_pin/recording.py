@@ -16,6 +16,7 @@ from eos_pin.arrays import Array, JointVector, Vector, VectorLike, nearest, numb
 from eos_pin.charts import Chart
 from eos_pin.controllers import EosController
 from eos_pin.errors import ChartError, EosError, InputError, SingularError
+from eos_pin.margins import limits_of
 from eos_pin.results import Result, provenance
 from eos_pin.robot import Robot
 from eos_pin.systems import System
@@ -118,6 +119,7 @@ class Recorder:
         task = task or (force.task if force else None)
         info = provenance() | {
             "robot": _record(plant),
+            "limits": limits_of(plant),
             "task": task.describe() if task else None,
             "force_task": force.task.describe() if force else None,
             "controller": controller.describe(),
@@ -240,6 +242,7 @@ def joint_run(
     reached = np.array([task.value(row) for row in q]).reshape(len(t), task.size)
     error = np.array([task.minus(a, b) for a, b in zip(z, reached, strict=True)]).reshape(len(t), task.m)
     info = {"robot": _record(robot), "task": task.describe(), "controller": {"kind": "Kinematics"}, "arguments": {}}
+    info["limits"] = limits_of(robot, moving=False)
     return Result(
         t=t, q=q, dq=still, ddq=still, tau=still,
         z=reached, dz=0.0 * error, z_ref=z, error=error, task_force=0.0 * error,

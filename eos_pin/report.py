@@ -138,6 +138,8 @@ def scene_of(result: Result, robot: Robot, obstacles: Sequence[Obstacle] = (), *
     caption = f"{result.info.get('controller', {}).get('kind', '')}: task error {figure(summary['task_error_max'])}"
     drift = summary["joint_drift_per_cycle"]
     caption += f", joint drift per cycle {figure(drift[-1])}" if drift else ""
+    used = summary["limits"]
+    caption += f"; limits {used['told']}" if math.isfinite(used["worst"]) else ""
     traces = {"actual": frame} if frame else {}
     return Scene(
         robot, paths, traces, tuple(obstacles), title or f"{robot.name}: {first.get('kind', 'motion')}", caption
@@ -248,6 +250,9 @@ def run_table(summary: Mapping[str, Any]) -> Table:
     table.add_row("kinetic energy, mean", f"{figure(summary['kinetic_energy_mean'])} J")
     table.add_row("largest torque or force", f"{figure(summary['torque_max'])} N m or N")
     table.add_row("computing time", f"{summary['cpu_seconds']:.2f} s")
+    if summary["limits"]["told"]:
+        told = escape(summary["limits"]["told"])
+        table.add_row("limits", f"[bold red]{told}[/]" if summary["limits"]["passed"] else told)
     return table
 
 

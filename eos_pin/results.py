@@ -26,6 +26,7 @@ from eos_pin.arrays import Array, Vector, nearest
 from eos_pin.errors import InputError, ResultError
 from eos_pin.files import write_atomically
 from eos_pin.loading import load_robot
+from eos_pin.margins import use_of_limits
 from eos_pin.robot import Robot
 from eos_pin.systems import Friction
 from eos_pin.tasks import task_from
@@ -65,7 +66,7 @@ class Result:
         period: Period of the reference [s]; infinite if it does not repeat.
         status: `"finished"`, or why the run ended early, in one word.
         message: The same in a sentence, with advice.
-        info: Provenance: versions, robot, task, controller, arguments, seed, time spent.
+        info: Provenance: versions, robot and its limits, task, controller, arguments, seed, time spent.
     """
 
     t: Float[Array, " T"]
@@ -142,6 +143,13 @@ class Result:
         return self.v_ref - self.v
 
     @property
+    def limits(self) -> dict[str, Any]:
+        """Largest ratios to the limits of position, velocity and torque; see `margins.use_of_limits`."""
+        limits = self.info.get("limits") or {}
+        known = self.q.shape == self.dq.shape == self.tau.shape and len(limits.get("joints", ())) == self.q.shape[1]
+        return use_of_limits(limits, self.q, self.dq, self.tau) if known else use_of_limits({}, *3 * [self.q])
+
+    @property
     def given_up_rows(self) -> Bool[Array, " T"]:
         """Where part of the task was given up, to keep limits or because it was singular."""
         return (np.abs(self.given_up) > GIVEN_UP).any(axis=1)
@@ -184,7 +192,7 @@ class Result:
         Errors are maxima after transients, that is from the row `settled_row` on (`settled_from` in seconds).
         """
         late = slice(self.settled_row, None)
-        task = self.info.get("task") or {}
+        task, limits = self.info.get("task") or {}, self.limits
         return {
             "status": self.status,
             "message": self.message,
@@ -207,6 +215,8 @@ class Result:
             "chart_switches": len(self.switches),
             "kinetic_energy_mean": self.mean(self.kinetic_energy),
             "torque_max": _largest(self.tau),
+            "limit_ratio_max": limits["worst"],
+            "limits": limits,
             "cpu_seconds": float(self.info.get("cpu_seconds", math.nan)),
         }
 

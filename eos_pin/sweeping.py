@@ -213,8 +213,8 @@ def _overview(rows: Sequence[Row], over: Sequence[str]) -> tuple[list[str], list
     lines = []
     for values, some in groups.items():
         good = [row for row in some if row["status"] == "finished"]
-        quantities = ("task_error_max", "self_motion_error_max", "last_drift", "torque_max")
+        quantities = ("task_error_max", "self_motion_error_max", "last_drift", "torque_max", "limit_ratio_max")
         worst = [max((row[name] for row in good if row[name] is not None), default=np.nan) for name in quantities]
         lines.append([*values, f"{len(good)} of {len(some)}", *worst])
     named = [name.replace("_", " ") for name in over]
-    return [*named, "finished", "task error", "v error", "drift", "torque"], lines
+    return [*named, "finished", "task error", "v error", "drift", "torque", "of limits"], lines

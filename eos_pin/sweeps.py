@@ -68,6 +68,7 @@ MEASURED = (
     "chart_switches",
     "kinetic_energy_mean",
     "torque_max",
+    "limit_ratio_max",
     "cpu_seconds",
 )
 

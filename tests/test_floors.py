@@ -59,6 +59,7 @@ TABLE = """
     5 run       presets         pinocchio
                 pathfiles
                 systems
+                margins
                 results
                 recording
                 simulation      scipy
