@@ -29,6 +29,7 @@ from eos_pin.arrays import (
 from eos_pin.charts import Chart
 from eos_pin.errors import InputError, InverseError, SingularError
 from eos_pin.newton import Inverse, walk
+from eos_pin.postures import JointsLike
 from eos_pin.robot import Robot
 from eos_pin.tasks import Point, PointLike, Task
 
@@ -127,11 +128,11 @@ class Atlas:
         if self.threshold >= 1.0:
             raise InputError(f"the chart threshold must be below 1, where charts end at once; got {self.threshold}")
 
-    def start(self, q: VectorLike) -> Chart:
+    def start(self, q: JointsLike) -> Chart:
         """First chart, based at q with v = 0."""
         return Chart.at(self.task, q)
 
-    def next(self, chart: Chart, q: VectorLike) -> Chart:
+    def next(self, chart: Chart, q: JointsLike) -> Chart:
         """Chart based at q that continues v from `chart`; Eq. (27)."""
         return Chart.at(self.task, q, previous=chart)
 
@@ -141,7 +142,7 @@ class Atlas:
 
     def follow(
         self,
-        q: VectorLike,
+        q: JointsLike,
         path: Iterable[VectorLike] | Float[Array, "K size"],
         *,
         v: SelfMotionPath | None = None,
@@ -174,7 +175,7 @@ class Atlas:
                 f"a path of {self.task!r} must be finite and of shape (K, {self.task.size}), got {points.shape}"
             )
         chart = chart or self.start(q)
-        traveller = _Traveller(self, chart, vector(q, chart.n, "q"), tol)
+        traveller = _Traveller(self, chart, chart.task.robot.posture(q), tol)
         v_of = _self_motion(v, traveller.v, len(points))
         q_path, v_path, chart_path, residual, message = [], [], [], 0.0, ""
         for k, z in enumerate(points):
@@ -200,7 +201,7 @@ class Atlas:
 
     def reach(
         self,
-        q: VectorLike,
+        q: JointsLike,
         z: PointLike,
         *,
         v: VectorLike | None = None,
@@ -233,7 +234,7 @@ class Atlas:
         Raises:
             InputError: Wrong shapes, or a way there is not.
         """
-        q, z = vector(q, self.task.robot.n, "q"), self.task.point(z)
+        q, z = self.task.robot.posture(q), self.task.point(z)
         if ways is None:
             ways = WAYS if v is None else WAYS[:2]
         if not ways or not set(ways) <= set(WAYS):

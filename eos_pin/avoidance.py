@@ -12,6 +12,7 @@ from eos_pin.atlas import Atlas, JointPath
 from eos_pin.charts import Chart
 from eos_pin.clearance import Clearance
 from eos_pin.errors import InputError, SingularError
+from eos_pin.postures import JointsLike
 from eos_pin.targets import Trajectory
 from eos_pin.tasks import Point
 
@@ -40,7 +41,7 @@ class Avoidance:
     clearance: Clearance
     margin: float = 0.1
     room: float = 0.1
-    posture: VectorLike | None = None
+    posture: JointsLike | None = None
     pull: float = 0.4
     damping: float = 3.0
     longest: float = 0.02
@@ -50,7 +51,7 @@ class Avoidance:
             number(getattr(self, name), name, above=0.0)
         number(self.pull, "pull", at_least=0.0)
         if self.posture is not None:
-            object.__setattr__(self, "posture", readonly(vector(self.posture, self.clearance.robot.n, "the posture")))
+            object.__setattr__(self, "posture", readonly(self.clearance.robot.posture(self.posture, "the posture")))
 
     def step(self, t: float, q: JointVector, chart: Chart) -> SelfMotionVector:
         """Change of v that makes way at time t [s], (r,)."""
@@ -74,7 +75,7 @@ class Avoidance:
         return np.reshape(rows, (-1, robot.n)), np.array(missing, dtype=float)
 
     def follow(
-        self, atlas: Atlas, q: VectorLike, path: Trajectory, times: VectorLike, *, steps: int = 4, tol: float = 1e-10
+        self, atlas: Atlas, q: JointsLike, path: Trajectory, times: VectorLike, *, steps: int = 4, tol: float = 1e-10
     ) -> JointPath:
         """Chart-based inverse kinematics along a task path on which v makes way; `Clearance.along` checks the outcome.
 

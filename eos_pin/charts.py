@@ -16,11 +16,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import lapack
 
-from eos_pin.arrays import Array, Jacobian, JointVector, SelfMotionVector, TaskVector, VectorLike, readonly, vector
+from eos_pin.arrays import Array, Jacobian, JointVector, SelfMotionVector, TaskVector, readonly
 from eos_pin.bases import Basis, carried, null_basis
 from eos_pin.errors import ChartError, InverseError
 from eos_pin.linear import RANK_TOLERANCE, check_rank, iterated_inverse
 from eos_pin.newton import Inverse, newton, walk
+from eos_pin.postures import JointsLike
 from eos_pin.tasks import Point, Task, TaskPoint
 
 #: Up to this many joints one n × n solve is cheaper than the m × m form with its extra products.
@@ -53,7 +54,7 @@ class Chart:
     row_basis: Float[Array, "n m"]
 
     @classmethod
-    def at(cls, task: Task, q: VectorLike, *, previous: Chart | None = None) -> Chart:
+    def at(cls, task: Task, q: JointsLike, *, previous: Chart | None = None) -> Chart:
         """Chart with base point q.
 
         Args:
@@ -66,7 +67,7 @@ class Chart:
             SingularError: G'(q) has not full rank.
             InputError: q has the wrong length or is not finite.
         """
-        q_bar = readonly(vector(q, task.robot.n, "the base configuration q"))
+        q_bar = readonly(task.robot.posture(q, "the base configuration q"))
         z_bar, J = task.linearize(q_bar)
         check_rank(J)
         row_basis = readonly(np.linalg.qr(J.T)[0])

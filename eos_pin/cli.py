@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,8 +14,8 @@ import tyro
 
 from eos_pin.arrays import vector
 from eos_pin.describing import info
-from eos_pin.errors import InputError
-from eos_pin.files import write_atomically
+from eos_pin.errors import EosError, InputError
+from eos_pin.files import write_csv
 from eos_pin.library import available_robots
 from eos_pin.options import ControllerName, ControlOptions, PathOptions, RobotOptions, RunOptions, TaskOptions
 from eos_pin.report import (
@@ -235,9 +236,8 @@ def ik(
         stderr.print(f"{', '.join(names)} exceeds its limits {where}; try another v or q0.")
     written = []
     if output.csv is not None:
-        header = ",".join(["t", *(joint.name for joint in machine.joints)])
-        samples = np.column_stack((times, joints))
-        write_atomically(output.csv, lambda file: np.savetxt(file, samples, delimiter=",", header=header, comments=""))
+        names = ["t", *(joint.name for joint in machine.joints)]
+        write_csv(output.csv, names, np.column_stack((times, joints)).tolist())
         written.append(output.csv)
     if found:
         result = joint_run(goal, times, joints, found.z, v=found.v, chart=found.chart, message=message)
@@ -250,12 +250,13 @@ def ik(
     return 1 if message else 0
 
 
-def replay(run: tyro.conf.Positional[Path], output: Output = Output()) -> int:
+def replay(run: tyro.conf.Positional[Path], output: Output = Output(), robot: str = "") -> int:
     """Show a saved run in the browser, or write it as HTML, figure, table or JSON.
 
     Args:
         run: The .npz file that `eos-pin track` wrote.
         output: What to make of it; by default it is shown in the browser.
+        robot: URDF file or name of the robot, where that of the run has moved. Only replays need it.
 
     For example:
 
@@ -265,13 +266,24 @@ def replay(run: tyro.conf.Positional[Path], output: Output = Output()) -> int:
     from eos_pin.results import Result
 
     result = Result.load(run)
-    robot = result.load_plant()
+    plant, missing = None, ""
+    try:
+        plant = result.load_plant(robot)
+    except EosError as error:
+        if robot:
+            raise
+        missing = str(error)
     console.print(run_table(result.summary()))
     files = output.within(None, names={"html": "replay.html", "plot": "overview.png", "json": "summary.json"})
-    written = deliver(replace(files, out=None), result, robot)
+    written = deliver(replace(files, out=None), result, plant)
     say_files(written)
-    if output.view or not written:
-        show(scene_of(result, robot), result)
+    if plant is None and (files.html or output.view or not written):
+        raise InputError(
+            f"there is no replay without the robot: {missing.rstrip('. ')}. Give its URDF with --robot FILE; --csv, "
+            "--json and --plot work without"
+        )
+    if plant is not None and (output.view or not written):
+        show(scene_of(result, plant), result)
     return 0
 
 
@@ -310,6 +322,9 @@ def run(command: Callable[..., int], argv: Sequence[str] | None = None) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command `eos-pin`."""
+    if list(sys.argv[1:] if argv is None else argv) == ["--version"]:
+        console.print(f"eos-pin {version('eos-pin')}")
+        return 0
     commands = {f.__name__: f for f in (track, compare, sweep, info, ik, replay, robots)}
     return guarded(
         lambda: tyro.extras.subcommand_cli_from_dict(

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from glob import escape
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from eos_pin.errors import OutputError
 
@@ -49,3 +51,21 @@ def write_atomically(path: str | Path, write: Callable[[IO[bytes]], object]) -> 
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+
+
+def write_csv(path: str | Path, names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a table with the names of its columns in the first row.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+
+    def write(file: IO[bytes]) -> None:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        table = csv.writer(text)
+        table.writerow(names)
+        table.writerows(rows)
+        text.flush()
+        text.detach()
+
+    write_atomically(path, write)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from eos_pin.arrays import JointVector, VectorLike, number, vector
+from eos_pin.arrays import JointVector, number
 from eos_pin.atlas import Atlas
 from eos_pin.dynamics import pseudoinverse
 from eos_pin.errors import SingularError
+from eos_pin.postures import JointsLike
 from eos_pin.recording import check_run, joint_run, sample_times
 from eos_pin.results import Result
 from eos_pin.targets import Trajectory
@@ -17,7 +18,7 @@ from eos_pin.tasks import Task
 RATE = 50.0
 
 
-def rate_control(task: Task, path: Trajectory, q: VectorLike, *, duration: float, rtol: float = 1e-9) -> Result:
+def rate_control(task: Task, path: Trajectory, q: JointsLike, *, duration: float, rtol: float = 1e-9) -> Result:
     """Joints under dq = G'†(q) dz_d, the generalized-inverse velocity control of Eqs. (3), (4).
 
     Args:
@@ -40,7 +41,7 @@ def rate_control(task: Task, path: Trajectory, q: VectorLike, *, duration: float
             raise SingularError(f"the task is singular at t = {t:.4g} s; try a smaller path", 0, ()) from None
 
     number(rtol, "rtol", above=0.0)
-    q = vector(q, task.robot.n, "q at the start")
+    q = task.robot.posture(q, "q at the start")
     t = sample_times(duration, RATE, path.period)
     check_run(task.robot.n, len(t), float(t[-1]), path)
     found = solve_ivp(velocity, (0.0, t[-1]), q, method="DOP853", t_eval=t, rtol=rtol, atol=rtol)
@@ -49,7 +50,7 @@ def rate_control(task: Task, path: Trajectory, q: VectorLike, *, duration: float
     return joint_run(task, t, found.y.T, np.array([path(s).z for s in t]), period=path.period, message=message)
 
 
-def chart_following(task: Task, path: Trajectory, q: VectorLike, *, duration: float, tol: float = 1e-12) -> Result:
+def chart_following(task: Task, path: Trajectory, q: JointsLike, *, duration: float, tol: float = 1e-12) -> Result:
     """Joints y(z_d(t), v) with v held where it is at q: inverse kinematics through charts, Sec. 3.
 
     Args:

@@ -105,7 +105,7 @@ class Payload:
 def load_robot(
     source: str | bytes | Path,
     *,
-    lock: str | Sequence[str] | Mapping[str, float] = (),
+    lock: str | Sequence[str] | Mapping[str, float | None] = (),
     chain_to: str = "",
     package_dirs: Sequence[str | Path] = (),
     tool: Tool | Mapping[str, Any] | None = None,
@@ -120,7 +120,7 @@ def load_robot(
         source: Path of a URDF, or a name of `available_robots()`, with or without `example-robot-data:`; or the text of
             a URDF, beside which meshes are looked for in the current folder.
         lock: Joints to hold fixed: names, each held at 0 or the limit nearest to it, or a mapping of names to
-            positions [rad or m].
+            positions [rad or m] or None.
         chain_to: Frame to which the joints from the base are kept. All others are locked, and what they carry
             stays as a rigid part. `"auto"` takes `default_frame`.
         package_dirs: Folders in which to look for meshes first.
@@ -149,7 +149,9 @@ def load_robot(
     if payload is not None:
         _add_frame(model, "payload", payload.frame, pin.SE3.Identity(), payload.spatial)
     options: dict[str, Any] = {
-        "lock": {name: float(x) for name, x in lock.items()} if isinstance(lock, Mapping) else _names(lock),
+        "lock": {name: x if x is None else float(x) for name, x in lock.items()}
+        if isinstance(lock, Mapping)
+        else _names(lock),
         "chain_to": chain_to,
         "package_dirs": [str(folder) for folder in folders],
         "tool": tool and tool.as_dict(),
@@ -221,7 +223,7 @@ def _names(lock: str | Sequence[str]) -> list[str]:
     return [lock] if isinstance(lock, str) else list(lock)
 
 
-def _locked(urdf: Urdf, lock: str | Sequence[str] | Mapping[str, float], frame: str) -> dict[str, float]:
+def _locked(urdf: Urdf, lock: str | Sequence[str] | Mapping[str, float | None], frame: str) -> dict[str, float]:
     """Position of every joint held fixed: by `lock`, by its limits, or because it is not on the way to `frame`."""
     given = dict(lock) if isinstance(lock, Mapping) else dict.fromkeys(_names(lock))
     chain = urdf.chain(frame) if frame else urdf.moving

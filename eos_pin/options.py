@@ -10,6 +10,7 @@ import numpy as np
 
 from eos_pin.arrays import JointVector, number, vector
 from eos_pin.errors import InputError
+from eos_pin.postures import by_name, in_order
 
 # Everything else is imported where it is used, so that `eos-pin --help` does not wait for it.
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ class RobotOptions:
     Attributes:
         robot: Name (see `eos-pin robots`) or path of a URDF file.
         frame: Frame that does the task; by default the tip. Joints that are not between base and frame are locked.
-        lock: Names of further joints to lock.
+        lock: Names of further joints to lock, where they are nearest to 0, or at a position, such as elbow=0.2.
         package_dirs: Folders in which `package://` meshes are looked for.
         gravity: Acceleration of gravity [m/s²], such as 0 -9.81 0 for a planar robot that stands upright.
         tool: Offset of a tool frame from the frame [m]; the tool then does the task.
@@ -60,7 +61,11 @@ class RobotOptions:
         """Load the chain from the base to the frame."""
         from eos_pin.loading import Payload, Tool, load_robot
 
-        options: dict[str, Any] = {"lock": self.lock, "package_dirs": self.package_dirs, "gravity": self.gravity}
+        options: dict[str, Any] = {
+            "lock": by_name(self.lock, "--lock"),
+            "package_dirs": self.package_dirs,
+            "gravity": self.gravity,
+        }
         robot = load_robot(self.robot, chain_to=self.frame or "auto", **options)
         frame = robot.options["chain_to"]
         if self.tool is None and not self.payload:
@@ -77,19 +82,28 @@ class TaskOptions:
     Attributes:
         task: What counts: position, pose (with orientation), orientation, heading (planar robots), or centre of mass.
         axes: Axes that count, such as xy; by default all along which the frame can move.
-        q0: Joints at the start [rad or m]; by default a posture far from singular and from the limits.
+        q0: Joints at the start [rad or m]: all in order, or some by name, such as panda_joint4=-2; by default, and for
+            those not named, a posture far from singular and from the limits.
     """
 
     task: Literal["position", "pose", "orientation", "heading", "com"] = "position"
     axes: str = ""
-    q0: tuple[float, ...] = ()
+    q0: tuple[float | str, ...] = ()
 
     def make(self, robot: Robot) -> tuple[Task, JointVector]:
         """The task, and the joints to start from."""
         from eos_pin.presets import make_task, rest_posture
 
         task = make_task(robot, self.task, frame=robot.options.get("chain_to", ""), axes=self.axes)
-        return task, vector(self.q0, robot.n, "q0") if self.q0 else rest_posture(task)
+        words = [word for word in self.q0 if isinstance(word, str)]
+        if not words:
+            return task, vector([float(x) for x in self.q0], robot.n, "q0") if self.q0 else rest_posture(task)
+        named = {joint: value for joint, value in by_name(words, "q0").items() if value is not None}
+        if len(named) < len(self.q0):
+            raise InputError(
+                f"q0 is all {robot.n} joints in order, or some as joint=value; got {' '.join(map(str, self.q0))}"
+            )
+        return task, in_order(named, robot.model.names[1:], rest_posture(task), "q0")
 
 
 @dataclass(frozen=True)

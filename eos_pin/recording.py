@@ -260,6 +260,7 @@ def _record(robot: Robot) -> dict[str, Any]:
         "source": robot.source,
         "options": dict(robot.options),
         "urdf_sha256": robot.urdf_sha256,
+        "joints": [joint.name for joint in robot.joints],
     }
 
 

@@ -149,7 +149,7 @@ def scene_of(result: Result, robot: Robot, obstacles: Sequence[Obstacle] = (), *
 def deliver(
     output: Output,
     result: Result,
-    robot: Robot,
+    robot: Robot | None,
     *,
     figures: Mapping[str, Any] | None = None,
     obstacles: Sequence[Obstacle] = (),
@@ -161,7 +161,7 @@ def deliver(
     Args:
         output: What is asked for.
         result: The run.
-        robot: The robot that moved.
+        robot: The robot that moved; without it there is no replay.
         figures: What goes into the JSON; by default the run's summary.
         obstacles: Solids in the replay.
         plot: Figure to save; by default the overview of the run.
@@ -181,7 +181,7 @@ def deliver(
         from eos_pin import plots
 
         written.append(plots.save(plot or plots.overview(result, robot), output.plot))
-    if output.html is not None:
+    if output.html is not None and robot is not None:
         from eos_pin.viewer import write_html
 
         written.append(write_html(output.html, scene_of(result, robot, obstacles, title=title), result.t, result.q))

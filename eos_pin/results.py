@@ -6,8 +6,6 @@ re-checks itself from its raw arrays, whoever produced them.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import platform
@@ -24,7 +22,7 @@ from jaxtyping import Bool, Float, Int
 
 from eos_pin.arrays import Array, Vector, nearest
 from eos_pin.errors import InputError, ResultError
-from eos_pin.files import write_atomically
+from eos_pin.files import write_atomically, write_csv
 from eos_pin.loading import load_robot
 from eos_pin.margins import use_of_limits
 from eos_pin.robot import Robot
@@ -108,6 +106,12 @@ class Result:
     def ok(self) -> bool:
         """Whether the run reached its end."""
         return self.status == "finished"
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints in the order of q; their numbers from 1 where the run does not have them."""
+        names = self.info.get("robot", {}).get("joints", ())
+        return tuple(names) if len(names) == self.q.shape[1] else tuple(str(i + 1) for i in range(self.q.shape[1]))
 
     # -- figures -----------------------------------------------------------------------------------------------------
 
@@ -257,13 +261,26 @@ class Result:
         found["power"] = _largest(energy - energy[0] - (self.work - self.work[0])) / float(scale)
         return found
 
-    def load_plant(self) -> Robot:
+    def load_plant(self, source: str | Path = "") -> Robot:
         """The robot that ran, loaded again from where it came.
+
+        Args:
+            source: Where its URDF is now, if it has moved; a changed one will do if its joints are the same.
 
         Raises:
             ResultError: It was made in memory, or its URDF has changed since.
+            RobotError: Its URDF cannot be used, or is not there.
         """
         record = self.info.get("robot", {})
+        if source:
+            robot = load_robot(source, **record.get("options", {}))
+            joints = tuple(joint.name for joint in robot.joints)
+            if len(joints) != self.q.shape[1] or (record.get("joints") and joints != self.joints):
+                raise ResultError(
+                    f"{str(source)!r} is not the robot of this run: its joints are {', '.join(joints)}, those of the "
+                    f"run {', '.join(self.joints)}"
+                )
+            return robot
         if not record.get("source"):
             raise ResultError(
                 f"the plant of this run ({record.get('name', 'unnamed')!r}) was made in memory and is not in the file; "
@@ -325,22 +342,16 @@ class Result:
             ) from error
 
     def to_csv(self, path: str | Path) -> Path:
-        """Write the samples as a table, a row per time and a named column per number."""
+        """Write the samples as a table, a row per time and a named column per number, such as `q_elbow`."""
         path = Path(path)
         columns = {name: getattr(self, name) for name in _ARRAYS if name != "switches" and np.size(getattr(self, name))}
         names: list[str] = []
         for name, array in columns.items():
-            names += [name] if array.ndim == 1 else [f"{name}{i + 1}" for i in range(array.shape[1])]
-
-        def write(file: IO[bytes]) -> None:
-            text = io.TextIOWrapper(file, encoding="utf-8", newline="")
-            table = csv.writer(text)
-            table.writerow(names)
-            table.writerows(np.column_stack(list(columns.values())).tolist())
-            text.flush()
-            text.detach()
-
-        write_atomically(path, write)
+            if name in ("q", "dq", "ddq", "tau"):
+                names += [f"{name}_{joint}" for joint in self.joints]
+            else:
+                names += [name] if array.ndim == 1 else [f"{name}{i + 1}" for i in range(array.shape[1])]
+        write_csv(path, names, np.column_stack(list(columns.values())).tolist())
         return path
 
 

@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from eos_pin.arrays import Array, JointVector, VectorLike, number, readonly, vector
 from eos_pin.errors import RobotError, UnknownNameError
+from eos_pin.postures import JointsLike, in_order
 from eos_pin.workspace import workspace
 
 #: M(q) counts as singular below this reciprocal condition number: torques would have no meaning.
@@ -181,6 +182,12 @@ class Robot:
     def frames(self) -> tuple[str, ...]:
         """Names of all frames a task can use, from the base to the tip."""
         return tuple(dict.fromkeys(frame.name for frame in self.model.frames))
+
+    def posture(self, values: JointsLike, name: str = "q") -> JointVector:
+        """Joints in the order of q, from all of them or some by name (`in_order`); others are as near 0 as they can."""
+        if not isinstance(values, Mapping):
+            return vector(values, self.n, name)
+        return in_order(values, self.model.names[1:], np.clip(np.zeros(self.n), self.lower, self.upper), name)
 
     def frame_id(self, name: str) -> int:
         """Index of the frame `name`.

@@ -12,11 +12,12 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from eos_pin.arrays import JointVector, Vector, VectorLike, number, spread, vector
+from eos_pin.arrays import JointVector, Vector, VectorLike, number, spread
 from eos_pin.atlas import Atlas
 from eos_pin.controllers import Controller
 from eos_pin.errors import ChartError, InputError
 from eos_pin.loop import ControlLoop
+from eos_pin.postures import JointsLike, in_order
 from eos_pin.recording import Observer, Recorder, Stop, sample_times
 from eos_pin.results import Result
 from eos_pin.robot import Robot
@@ -53,8 +54,8 @@ class SensorNoise:
 def simulate(
     plant: Robot,
     controller: Controller,
-    q: VectorLike,
-    dq: VectorLike | None = None,
+    q: JointsLike,
+    dq: JointsLike | None = None,
     *,
     duration: float,
     method: Method | None = None,
@@ -72,7 +73,7 @@ def simulate(
     Args:
         plant: The robot that moves; it need not be the robot the controller knows.
         controller: The controller.
-        q: Joints at the start, (n,).
+        q: Joints at the start, (n,), or some of them by name; others are as near 0 as their limits allow.
         dq: Joint velocities at the start, at rest by default.
         duration: Length of the run [s].
         method: Integrator of SciPy; by default LSODA, which takes half of the time, and DOP853 for tolerances below
@@ -96,8 +97,8 @@ def simulate(
 def simulate_eos(
     plant: Robot,
     controller: Controller,
-    q: VectorLike,
-    dq: VectorLike | None = None,
+    q: JointsLike,
+    dq: JointsLike | None = None,
     *,
     atlas: Atlas,
     duration: float,
@@ -116,7 +117,7 @@ def simulate_eos(
     Args:
         plant: The robot that moves.
         controller: The controller.
-        q: Joints at the start, (n,).
+        q: Joints at the start, (n,), or some of them by name; others are as near 0 as their limits allow.
         dq: Joint velocities at the start, at rest by default.
         atlas: Charts whose coordinates are integrated.
         duration: Length of the run [s].
@@ -141,8 +142,8 @@ def simulate_eos(
 def simulate_sampled(
     plant: Robot,
     controller: Controller,
-    q: VectorLike,
-    dq: VectorLike | None = None,
+    q: JointsLike,
+    dq: JointsLike | None = None,
     *,
     duration: float,
     period: float = 1e-3,
@@ -162,7 +163,7 @@ def simulate_sampled(
     Args:
         plant: The robot that moves; it need not be the robot the controller knows. A `MujocoPlant` steps itself.
         controller: The controller, called once a period.
-        q: Joints at the start, (n,).
+        q: Joints at the start, (n,), or some of them by name; others are as near 0 as their limits allow.
         dq: Joint velocities at the start, at rest by default.
         duration: Length of the run [s].
         period: Control period [s].
@@ -342,7 +343,7 @@ def _check_speed(system: System, t: float, x: Vector) -> None:
     )
 
 
-def _state(plant: Robot, q: VectorLike, dq: VectorLike | None) -> tuple[JointVector, JointVector]:
-    return vector(q, plant.n, "q at the start"), vector(
-        np.zeros(plant.n) if dq is None else dq, plant.n, "dq at the start"
-    )
+def _state(plant: Robot, q: JointsLike, dq: JointsLike | None) -> tuple[JointVector, JointVector]:
+    rest = np.zeros(plant.n)
+    dq = in_order(rest if dq is None else dq, plant.model.names[1:], rest, "dq at the start")
+    return plant.posture(q, "q at the start"), dq

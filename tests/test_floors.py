@@ -25,6 +25,7 @@ TABLE = """
                 _kernels/tracing
                 _kernels/kinematics
     1 robot     workspace       pinocchio
+                postures
                 robot           pinocchio
                 notes           pinocchio
                 library
@@ -86,6 +87,7 @@ TABLE = """
                 sweeping        rich tyro
                 describing
                 cli             tyro
+                __main__
 """
 
 

@@ -360,9 +360,13 @@ def test_csv_is_readable(runs, tmp_path, kind):
     assert len(table) == len(run.t)
     for name in ("t", "chart", "kinetic_energy", "work"):
         np.testing.assert_array_equal(table[name], getattr(run, name))
-    for name in ("q", "dq", "tau", "z", "error", "v"):
+    for name in ("z", "error", "v"):
         for i, column in enumerate(getattr(run, name).T, 1):
             np.testing.assert_array_equal(table[f"{name}{i}"], column)
+    joints = [joint.name for joint in run.load_plant().joints]
+    for name in ("q", "dq", "ddq", "tau"):
+        for joint, column in zip(joints, getattr(run, name).T, strict=True):
+            np.testing.assert_array_equal(table[f"{name}_{joint}"], column)
     assert len(table.dtype.names) == sum(
         1 if getattr(run, name).ndim == 1 else getattr(run, name).shape[1]
         for name in ARRAYS

@@ -60,7 +60,7 @@ def test_out_collects_run_replay_figure_and_numbers(capsys):
     assert {path.name for path in Path("files").iterdir()} == names
     assert all(f"files/{name}" in capsys.readouterr().out.replace("\n", "") for name in ["run.npz"])
     assert Result.load("files/run.npz").ok
-    assert Path("samples.csv").read_text().startswith("t,q1")
+    assert Path("samples.csv").read_text().startswith("t,q_")
     assert Path("files/figure.png").read_bytes()[:4] == b"\x89PNG"
 
 
