@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
-from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -24,6 +23,8 @@ from eos_pin.arrays import JointVector
 from eos_pin.errors import EosError
 from eos_pin.files import write_atomically
 from eos_pin.interrupts import patient_interrupts
+from eos_pin.tables import figure as figure
+from eos_pin.tables import fitted
 from eos_pin.terminal import shown, spell_output
 
 if TYPE_CHECKING:
@@ -220,21 +221,17 @@ def say_notes(made: Robot | Trajectory) -> None:
 
 
 def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
-    """Table whose numbers stand right and whose words stand left; cells are shown as they stand, brackets and all."""
-    filled = [[figure(cell) if isinstance(cell, float) else escape(str(cell)) for cell in row] for row in rows]
-    table = Table(title=escape(title), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for i, name in enumerate(columns):
-        numeric = all(row[i][:1] in "-0123456789in" for row in filled)
-        table.add_column(name, justify="right" if numeric else "left", no_wrap=True)
-    for row in filled:
-        table.add_row(*row)
-    return table
+    """Table that fits the terminal; see `eos_pin.tables`."""
+    return fitted(title, columns, rows, console.width)
 
 
 def run_table(summary: Mapping[str, Any]) -> Table:
     """Table of what happened in one run."""
     title = f"{summary['robot']}: {summary['frame'] or summary['task'].get('kind', '')}"
     table = Table(title=escape(title), show_header=False)
+    for _ in range(2):
+        # A path or a name in a message may be longer than a line.
+        table.add_column(overflow="fold")
     table.add_row("status", escape(summary["status"] + (f": {summary['message']}" if summary["message"] else "")))
     table.add_row("joints n, task m, redundancy r", f"{summary['n']}, {summary['m']}, {summary['r']}")
     period = f" of {summary['period']:g} s" if summary["period"] else ""
@@ -271,11 +268,6 @@ def guarded(command: Callable[[], int]) -> int:
     except KeyboardInterrupt as interrupt:
         stderr.print(": ".join(filter(None, ("Interrupted", str(interrupt)))), markup=False)
         return 130
-
-
-def figure(value: float | None) -> str:
-    """Number for a person: three digits, a dash if there is none."""
-    return "-" if value is None or math.isnan(value) else f"{value:.3g}"
 
 
 def _plain(value: Any) -> Any:

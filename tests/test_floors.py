@@ -81,6 +81,7 @@ TABLE = """
                 plots           matplotlib
                 figures         matplotlib
                 animation       PIL matplotlib
+                tables          rich
                 report          matplotlib rich tyro
                 encounters      coal matplotlib
                 exhibits        rich
