@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import gzip
 import io
 import json
 import os
 import shutil
 import subprocess
 import tempfile
+import threading
 import time
+import zlib
 from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
-from urllib.request import Request, urlopen
+from urllib.parse import urlsplit
+from urllib.request import Request, url2pathname, urlopen
 
 import coal
 import numpy as np
@@ -53,8 +58,8 @@ class Chromium:
         wait_for(lambda: file.is_file() and file.read_text().count("\n"), 30.0)
         self.port = int(file.read_text().split()[0])
 
-    def open(self, url: str) -> Page:
-        return Page(self, url)
+    def open(self, url: str, **how: Any) -> Page:
+        return Page(self, url, **how)
 
     def close(self) -> None:
         self.process.terminate()
@@ -65,7 +70,9 @@ class Chromium:
 class Page:
     """One tab."""
 
-    def __init__(self, browser: Chromium, url: str) -> None:
+    def __init__(
+        self, browser: Chromium, url: str, *, before: tuple[tuple[str, dict[str, Any]], ...] = (), wait: bool = True
+    ) -> None:
         self.loop, self.events, self.number = browser.loop, [], 0
         self.base = f"http://127.0.0.1:{browser.port}/json"
         with urlopen(Request(f"{self.base}/new?about:blank", method="PUT"), timeout=10) as answer:
@@ -73,8 +80,11 @@ class Page:
         self.socket = self.loop.run_until_complete(self._connect())
         for domain in ("Page", "Network", "Runtime", "Log"):
             self.do(f"{domain}.enable")
+        for method, parameters in before:
+            self.do(method, **parameters)
         self.do("Page.navigate", url=url)
-        wait_for(lambda: self.js("document.body && document.body.dataset.state"), 30.0)
+        if wait:
+            wait_for(lambda: self.js("document.body && document.body.dataset.state"), 30.0)
 
     async def _connect(self) -> Any:
         return await websocket_connect(self.tab["webSocketDebuggerUrl"], max_message_size=2**28)
@@ -255,3 +265,150 @@ def test_live_view_follows_the_run_in_two_browsers(chromium: Chromium, panda: Ro
     wait_for(lambda: pages[1].js("document.getElementById('live').textContent") == "ended", 10.0)
     assert not pages[1].troubles()
     pages[1].close()
+
+
+# -- every state of the page has a picture or a word -------------------------------------------------------------
+
+
+def visible(page: Page) -> str:
+    """All text that a person sees."""
+    return str(page.js("document.body.innerText") or "")
+
+
+def test_the_picture_is_there_when_the_page_has_loaded(replay: str, tmp_path: Path) -> None:
+    """The command of the README, which takes a picture as soon as the page counts as loaded."""
+    sizes = []
+    for k in range(3):
+        file = tmp_path / f"{k}.png"
+        flags = [flag for flag in FLAGS if not flag.startswith("--remote-debugging")]
+        words = [CHROMIUM, *flags, f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={file}"]
+        subprocess.run([*words, f"{replay}#t=1.2&paused"], capture_output=True, timeout=60, check=True)
+        picture = np.asarray(Image.open(file).convert("RGB"), dtype=float)
+        assert picture.shape[:2] == (640, 1000)
+        seen = np.abs(picture - background(picture))[100:520, 300:700].max(axis=-1) > 40
+        sizes.append(seen.mean())
+    assert min(sizes) > 0.05
+
+
+def test_the_page_unpacks_what_python_has_packed(chromium: Chromium, replay: str) -> None:
+    page = chromium.open(f"{replay}#paused")
+    random = np.random.default_rng(0)
+    noise = random.bytes(70_000)
+    texts = (b"", b"a", b"abcabc" * 20_000, noise, noise[:9_000] * 5, bytes(range(256)) * 300, b"x" * 300_000)
+    for data in texts:
+        for level in (0, 1, 9):
+            packed = base64.b64encode(gzip.compress(data, level, mtime=0)).decode()
+            bytes_of = f"Uint8Array.from(atob('{packed}'), c => c.charCodeAt(0))"
+            digest = (
+                f"(() => {{ const out = new Uint8Array(inflate({bytes_of})); let sum = 7; "
+                "for (const byte of out) sum = (31 * sum + byte) % 1000003; return out.length + ' ' + sum; })()"
+            )
+            total = 7
+            for byte in data:
+                total = (31 * total + byte) % 1000003
+            assert page.js(digest) == f"{len(data)} {total}"
+    # Codes that are agreed on rather than sent are for short texts only.
+    fixed = zlib.compressobj(9, zlib.DEFLATED, -15, strategy=zlib.Z_FIXED)
+    raw = fixed.compress(b"abcd" * 50) + fixed.flush()
+    packed = base64.b64encode(bytes(10) + raw + bytes(4) + (200).to_bytes(4, "little")).decode()
+    bytes_of = f"Uint8Array.from(atob('{packed}'), c => c.charCodeAt(0))"
+    assert page.js(f"new TextDecoder().decode(inflate({bytes_of}))") == "abcd" * 50
+    page.close()
+
+
+def test_a_page_that_is_still_coming_says_so(chromium: Chromium, replay: str) -> None:
+    text = Path(url2pathname(urlsplit(replay).path)).read_bytes()
+    go_on = threading.Event()
+
+    class Slow(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.end_headers()
+            self.wfile.write(text[: len(text) // 2])
+            self.wfile.flush()
+            go_on.wait(30.0)
+            self.wfile.write(text[len(text) // 2 :])
+
+        def log_message(self, *args: Any) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Slow)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        page = chromium.open(f"http://127.0.0.1:{server.server_port}/#paused", wait=False)
+        wait_for(lambda: "Loading the replay" in visible(page), 10.0)
+        assert page.js("document.body.dataset.state") is None
+        go_on.set()
+        wait_for(lambda: page.js("document.body.dataset.state") == "ready", 20.0)
+        assert "Loading" not in visible(page)
+        page.close()
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+@pytest.mark.parametrize("part", [0.2, 0.6, 0.95, 0.9999])
+def test_a_file_that_was_cut_off_says_so(chromium: Chromium, replay: str, part: float, tmp_path: Path) -> None:
+    text = Path(url2pathname(urlsplit(replay).path)).read_bytes()
+    cut = tmp_path / "cut.html"
+    cut.write_bytes(text[: min(int(part * len(text)), len(text) - 40)])
+    page = chromium.open(cut.as_uri())
+    assert page.js("document.body.dataset.state") == "failed"
+    assert "This replay is incomplete" in visible(page)
+    assert "eos-pin replay RUN.npz --html FILE" in visible(page)
+    page.close()
+
+
+def test_a_browser_without_webgl_is_told_what_to_do(chromium: Chromium, replay: str) -> None:
+    none = "HTMLCanvasElement.prototype.getContext = () => null;"
+    page = chromium.open(replay, before=(("Page.addScriptToEvaluateOnNewDocument", {"source": none}),))
+    assert page.js("document.body.dataset.state") == "failed"
+    said = visible(page)
+    assert "this browser has no WebGL" in said
+    assert "another browser" in said
+    assert "panda </script> & friends" in said.replace("<b>", "").replace("</b>", "")
+    assert page.js("document.getElementById('bar').offsetParent") is None
+    page.close()
+
+
+def test_a_browser_whose_graphics_are_reset_says_so(chromium: Chromium, replay: str) -> None:
+    page = chromium.open(f"{replay}#paused")
+    page.js(
+        "document.querySelector('#view canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
+    )
+    wait_for(lambda: "Reload the page" in visible(page), 10.0)
+    page.close()
+
+
+def test_a_browser_without_scripts_says_so(chromium: Chromium, replay: str) -> None:
+    off = (("Emulation.setScriptExecutionDisabled", {"value": True}),)
+    page = chromium.open(replay, before=off, wait=False)
+    wait_for(lambda: "JavaScript" in visible(page), 20.0)
+    assert "Loading" not in visible(page)
+    page.close()
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_a_narrow_screen_has_all_controls(chromium: Chromium, replay: str, live: bool) -> None:
+    narrow = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    page = chromium.open(f"{replay}#paused", before=(("Emulation.setDeviceMetricsOverride", narrow),))
+    page.js(f"document.getElementById('live').hidden = {str(not live).lower()}")
+    boxes = page.js(
+        "['play', 'seek', 'clock', 'live', 'speed', 'reset']"
+        ".map(id => document.getElementById(id).getBoundingClientRect())"
+        ".filter(box => box.width).map(box => [box.left, box.right])"
+    )
+    assert len(boxes) == 5
+    assert all(right - left >= 30 for left, right in boxes)
+    edges = [edge for box in boxes for edge in box]
+    assert edges == sorted(edges)
+    assert edges[0] >= 16
+    assert edges[-1] <= 390 - 16
+    # The camera comes back to where it was.
+    start = page.picture()
+    page.do("Input.dispatchMouseEvent", type="mouseWheel", x=195, y=400, deltaX=0, deltaY=-600)
+    wait_for(lambda: np.abs(page.picture() - start).max() > 40, 10.0)
+    page.js("document.getElementById('reset').click()")
+    wait_for(lambda: np.abs(page.picture() - start)[:700].max() < 40, 10.0)
+    page.close()
