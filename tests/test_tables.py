@@ -26,11 +26,6 @@ def printed(table, width=80):
     return file.getvalue()
 
 
-def squeezed(text):
-    """All letters, without blanks and lines."""
-    return re.sub(r"[^\w.+-]", "", text)
-
-
 LONG = "left_arm_shoulder_flexion_extension_joint_of_the_second_robot"
 CASES = {
     "narrow": (["joint", "value"], [["elbow", 0.5], ["wrist", -1.25]]),
@@ -80,32 +75,32 @@ def long_named(tmp_path, monkeypatch):
     text = re.sub(r'(joint name="|joint joint=")', rf"\g<1>{LONG}_", URDF.read_text())
     path = tmp_path / f"{LONG}.urdf"
     path.write_text(text)
-    return path.name
 
 
-@pytest.mark.usefixtures("unchecked")
-def test_commands_fit_80_columns(long_named, monkeypatch, capsys):
-    console = report.console
-    monkeypatch.setattr(console, "_width", 80)
-    quick = ["--duration", "0.1", "--period", "4", "--size", "0.3"]
-    commands = [
-        ["info", long_named],
-        ["ik", long_named, "--v", *["0.1"] * 8],
-        ["robots"],
-        ["track", long_named, *quick, "--out", "run"],
-        ["replay", "run/run.npz", "--json", "run.json"],
-        ["compare", long_named, *quick, "--controllers", "eos", "null-space-posture", "--out", "both"],
-        ["sweep", long_named, *quick, "--kp", "50,100", "--jobs", "1"],
-    ]
-    for command in commands:
-        assert main(command) in (0, 1), command
-        said = capsys.readouterr().out
-        # The list of files is one line, to be copied.
-        lines = [line for line in said.splitlines() if not line.startswith("Wrote")]
-        assert max(map(cell_len, lines)) <= 80, command
-        assert "…" not in said, command
-    named = squeezed(LONG)
-    assert named in squeezed(printed(fitted("", ["joint"], [[LONG]], 30)))
+QUICK = ["--duration", "0.1", "--period", "4", "--size", "0.3"]
+POSTURE = ["--q0", *["0.2"] * 10]
+COMMANDS = {
+    "info": ["info", f"{LONG}.urdf", *POSTURE],
+    "ik": ["ik", f"{LONG}.urdf", *POSTURE, "--v", *["0.1"] * 8],
+    "robots": ["robots"],
+    "track": ["track", f"{LONG}.urdf", *POSTURE, *QUICK, "--plane", "xy", "--out", "run"],
+    "compare": ["compare", f"{LONG}.urdf", *POSTURE, *QUICK, "--plane", "xy", "--controllers", "eos", "--out", "both"],
+    "sweep": ["sweep", f"{LONG}.urdf", *QUICK, "--kp", "50,100", "--jobs", "1"],
+}
+
+
+@pytest.mark.usefixtures("unchecked", "long_named")
+@pytest.mark.parametrize(
+    "command", [name if name != "sweep" else pytest.param(name, marks=pytest.mark.slow) for name in COMMANDS]
+)
+def test_commands_fit_80_columns(command, monkeypatch, capsys):
+    monkeypatch.setattr(report.console, "_width", 80)
+    assert main(COMMANDS[command]) in (0, 1)
+    said = capsys.readouterr().out
+    # The list of files is one line, to be copied.
+    lines = [line for line in said.splitlines() if not line.startswith("Wrote")]
+    assert max(map(cell_len, lines)) <= 80
+    assert "…" not in said
 
 
 def test_command_fits_80_columns_in_a_pipe():
