@@ -327,6 +327,9 @@ def _plain(value: Any, name: str) -> Any:
         return value
     if isinstance(value, numbers.Real):
         return int(value) if isinstance(value, numbers.Integral) else float(value)
+    if isinstance(value, Mapping):
+        # Joints by name, as on the command line.
+        return tuple(f"{key}={_plain(item, name)!r}" for key, item in value.items())
     if isinstance(value, Sequence | np.ndarray):
         return tuple(_plain(item, name) for item in value)
     raise InputError(f"the setting {name} must be text, a number or a few of these, got {value!r}")

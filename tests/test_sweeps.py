@@ -98,6 +98,13 @@ def test_a_trial_that_cannot_be_is_refused_at_once(settings, told):
         trials(**settings)
 
 
+def test_a_trial_takes_joints_by_name():
+    trial = Trial.of("planar_chain_10", q0={"y3": 0.5}, lock={"y10": np.float64(0.25)})
+    robot, _, q, _ = trial.prepare()
+    assert (robot.n, robot.options["lock"]) == (9, {"y10": 0.25})
+    assert q[[joint.name for joint in robot.joints].index("y3")] == 0.5
+
+
 def test_the_key_is_the_same_in_any_process_and_for_equal_numbers():
     trial = Trial.of("panda", kp=50, v=(0.0, 1, 0.5, 0), rate=np.float64(500.0), seed=np.int64(3))
     code = "from eos_pin.sweeps import Trial; print(Trial.of('panda', seed=3, rate=500, v=[0, 1, 0.5, 0], kp=50.0).key)"
