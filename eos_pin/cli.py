@@ -17,7 +17,15 @@ from eos_pin.describing import info
 from eos_pin.errors import EosError, InputError
 from eos_pin.files import write_csv
 from eos_pin.library import available_robots
-from eos_pin.options import ControllerName, ControlOptions, PathOptions, RobotOptions, RunOptions, TaskOptions
+from eos_pin.options import (
+    ControllerName,
+    ControlOptions,
+    PathOptions,
+    RobotOptions,
+    RunOptions,
+    TaskOptions,
+    check_options,
+)
 from eos_pin.report import (
     Output,
     console,
@@ -61,6 +69,7 @@ def track(
       eos-pin track path/to/robot.urdf --frame tool0 --path circle --size 0.1 --cycles 5
       eos-pin track panda --rate 1000 --noise 1e-5 --model-error 0.1 --torque-limits
     """
+    check_options(path, control, simulation, seed=output.seed)
     machine = robot.load()
     say_notes(machine)
     goal, q = task.make(machine)
@@ -108,6 +117,7 @@ def compare(
       eos-pin compare panda
       eos-pin compare panda --task pose --controllers eos null-space-posture --cycles 10
     """
+    check_options(path, simulation, seed=output.seed)
     machine = robot.load()
     say_notes(machine)
     goal, q = task.make(machine)
@@ -192,6 +202,9 @@ def ik(
     from eos_pin.pathfiles import path_from_csv, points_along, task_point
     from eos_pin.recording import joint_run
 
+    output.without("seed", reason="nothing is random here")
+    if to and path is not None:
+        raise InputError("--to and --path exclude each other: joints are found for one point, or along a path")
     machine = robot.load()
     say_notes(machine)
     goal, q = task.make(machine)
@@ -263,6 +276,7 @@ def replay(run: tyro.conf.Positional[Path], output: Output = Output(), robot: st
       eos-pin replay runs/panda-position/run.npz
       eos-pin replay runs/panda-position/run.npz --html panda.html --plot panda.pdf
     """
+    output.without("seed", reason="the run is over")
     from eos_pin.results import Result
 
     result = Result.load(run)
@@ -299,6 +313,7 @@ def robots(name: tyro.conf.Positional[str] = "", output: Output = Output()) -> i
       eos-pin robots
       eos-pin robots panda
     """
+    output.without("seed", reason="nothing is random here")
     if output.html or output.plot or output.csv or output.view:
         raise InputError("a list of robots cannot be drawn; try `eos-pin info ROBOT --html FILE`")
     found = [robot for robot in available_robots() if name.lower() in robot.name.lower()]

@@ -48,6 +48,7 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
     """
     from eos_pin.loading import leaf_frames
 
+    output.without("seed", "csv", reason="nothing moves here")
     machine = robot.load()
     found = _find_out(machine, task)
     goal, q = found.task, found.q

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from eos_pin.applicability import check_applicable
 from eos_pin.arrays import JointVector, number, vector
 from eos_pin.errors import InputError
 from eos_pin.postures import by_name, in_order
@@ -198,6 +199,11 @@ class ControlOptions:
 
         gains = {"kp": self.kp_self_motion, "kd": self.kd_self_motion}
         r = task.robot.n - task.m
+        if not r and (self.swing or self.v or self.self_motion != "hold"):
+            raise InputError(
+                "there is no self-motion to command: the task takes all joints (r = 0). Leave out --v, --swing and "
+                "--self-motion, count fewer axes, or choose a task with fewer coordinates"
+            )
         if self.self_motion == "posture":
             return Posture(q, **gains)
         if self.self_motion == "damp":
@@ -209,8 +215,6 @@ class ControlOptions:
         center = vector(self.v, r, "v") if self.v else np.zeros(r)
         if not self.swing:
             return Track(center, **gains)
-        if not r:
-            raise InputError("there is no self-motion to swing: the task takes all joints (r = 0)")
         period = reference.period if np.isfinite(reference.period) else 4.0
         return Track(Harmonic(center, self.swing * np.eye(r)[:1], np.zeros((1, r)), period), **gains)
 
@@ -321,3 +325,18 @@ class RunOptions:
             observer=observer,
         )
         return uninterrupted(result)
+
+
+#: Every option of a run that applies only beside some others, at its default.
+_DEFAULTS = {each.name: each.default for kind in (PathOptions, ControlOptions, RunOptions) for each in fields(kind)}
+_DEFAULTS["seed"] = 0
+
+
+def check_options(*groups: PathOptions | ControlOptions | RunOptions, seed: int = 0) -> None:
+    """Refuse options that change nothing beside the others.
+
+    Raises:
+        InputError: An option does not apply; says why.
+    """
+    given = {name: value for group in groups for name, value in vars(group).items()}
+    check_applicable(given | {"seed": seed}, _DEFAULTS)

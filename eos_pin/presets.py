@@ -20,6 +20,7 @@ from eos_pin.loading import default_frame
 from eos_pin.orientations import HeadingTask, OrientationTask, PoseTask
 from eos_pin.positions import ComTask, PositionTask
 from eos_pin.robot import Robot
+from eos_pin.strength import EASY, gravity_load, slowdown_for_torque
 from eos_pin.targets import Hold, Trajectory
 from eos_pin.tasks import StackedTask, Task
 from eos_pin.trajectories import Harmonic, StackedTrajectory, circle, figure_eight, line
@@ -48,7 +49,8 @@ def rest_posture(task: Task) -> JointVector:
     """A posture inside the limits in which the task is far from singular, with as many joints at zero as can be.
 
     From the zero posture, one joint after the other is turned in steps of 15° to where task and limits have most room,
-    until none wants to move.
+    until none wants to move. Where the joints could hardly hold the robot there, they are turned on to where they can,
+    if there is such a posture.
 
     Args:
         task: The task; its robot is meant.
@@ -61,7 +63,17 @@ def rest_posture(task: Task) -> JointVector:
     if regularity(task, found[0]) < CLEAR:
         # The zero posture was a bad place to start from.
         found += [_climb(robot, q, merit) for q in _postures(robot, SAMPLES // 2)]
-    return readonly(max(found, key=merit))
+    best = max(found, key=merit)
+    if gravity_load(robot, best) <= EASY:
+        return readonly(best)
+
+    def strong(q: JointVector) -> float:
+        return merit(q) - 10.0 * math.log(max(gravity_load(robot, q) / EASY, 1.0))
+
+    found = [_climb(robot, q, strong) for q in (best, zero, *_postures(robot, SAMPLES // 2))]
+    clear = min(regularity(task, best), CLEAR)
+    held = [q for q in found if gravity_load(robot, q) <= 1.0 and regularity(task, q) >= clear]
+    return readonly(max(held, key=strong, default=best))
 
 
 def _climb(robot: Robot, q: JointVector, merit: Callable[[JointVector], float]) -> JointVector:
@@ -95,7 +107,8 @@ def fitting_path(
 
     What is not given is chosen: the largest size up to a quarter of the robot's reach that stays on one chart, inside
     the joint limits and clear of singularities, the first plane that has it, and the shortest period of a few at which
-    no joint is too fast. Where every size is too fast for these, it is the smallest, as slow as it must be.
+    no joint is too fast, or needs more torque than it has. Where every size does, it is the smallest, as slow as it
+    must be.
 
     Args:
         task: The task; the path runs in its coordinates of length, and holds its orientation.
@@ -112,6 +125,8 @@ def fitting_path(
         raise InputError(f"the shape of a path is one of {', '.join(SHAPES)}; got {shape!r}")
     z = task.value(q)
     if shape == "hold":
+        if any(given is not None for given in (size, plane, period)):
+            raise InputError("a path that holds still has no size, plane or period; leave them out")
         return Hold(z, task.m)
     free = _lengths(task)
     if not free:
@@ -131,8 +146,9 @@ def fitting_path(
             slowdown, failure = _fits(task, q, path)
             fast = next((p for p in periods if p >= slowdown * periods[0]), None)
             if not failure and fast is None:
-                failure = "a joint is too slow for it"
-                slow = _draw(task, z, shape, length, where, free, math.ceil(slowdown * periods[0]))
+                failure = "a joint is too slow or too weak for it"
+                lasting = math.ceil(slowdown * periods[0]) if math.isfinite(slowdown) else periods[-1]
+                slow = _draw(task, z, shape, length, where, free, lasting)
             if not failure:
                 return _draw(task, z, shape, length, where, free, fast or periods[-1])
             failures.append(f"{length:.3g} m in {where}: {failure}")
@@ -171,7 +187,7 @@ def make_task(robot: Robot, kind: TaskKind = "position", *, frame: str = "", axe
         robot: The robot.
         kind: What counts. On a planar robot a position has two coordinates, a pose two and the heading.
         frame: Frame that does the task; by default the one `default_frame` names.
-        axes: Axes of a position or centre of mass; by default as many as the joints can move it along.
+        axes: Axes of a position, a centre of mass or a planar pose; by default as many as the joints can move it along.
 
     Raises:
         InputError: The joints cannot move the task in all its directions, in no posture.
@@ -183,6 +199,11 @@ def make_task(robot: Robot, kind: TaskKind = "position", *, frame: str = "", axe
     task: Task
     if kind in ("position", "com"):
         task = point(axes or _free_axes(robot, point, frame))
+    elif axes and (kind in ("orientation", "heading") or not _is_planar(robot, frame)):
+        raise InputError(
+            f"axes {axes!r} do not apply to a task of {kind}: it counts all of its coordinates. Leave them out, or "
+            "choose a task of position"
+        )
     elif kind == "orientation":
         task = OrientationTask(robot, frame)
     elif kind == "heading":
@@ -355,4 +376,5 @@ def _fits(task: Task, q: JointVector, path: Trajectory) -> tuple[float, str]:
     if min(regularity(task, row, found.charts[0]) for row in found.q) < PASSABLE:
         return math.inf, "it comes near a singularity of the task"
     velocity = np.abs(np.diff(found.q, axis=0)).max(axis=0) * TRIALS / path.period
-    return float((velocity / (ROOM * robot.velocity)).max()), ""
+    factor = slowdown_for_torque(task, path, found.q, found.charts[0])
+    return max(float((velocity / (ROOM * robot.velocity)).max()), factor), ""

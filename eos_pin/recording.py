@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from eos_pin.arrays import Array, JointVector, Vector, VectorLike, nearest, number
 from eos_pin.charts import Chart
-from eos_pin.controllers import EosController
+from eos_pin.controllers import Controller, EosController
 from eos_pin.errors import ChartError, EosError, InputError, SingularError
 from eos_pin.margins import limits_of
 from eos_pin.results import Result, provenance
@@ -145,7 +145,7 @@ class Recorder:
         )
         lost = run.given_up_rows
         if not (run.ok and lost.any()):
-            return run
+            return replace(run, message=run.message or _not_measured(controller))
         why = {"task": "near a singularity of the task", "limit": "to keep the limits"}
         when = "; ".join(
             f"{why[kind]} for {met['seconds']:.3g} s, first at t = {met['first']:.4g} s"
@@ -188,6 +188,17 @@ class Recorder:
             error = np.array(list(map(task.minus, z_ref, z)))
         forces = np.array([force.force(row.t) for row in rows], dtype=float) if force else np.zeros_like(dz)
         return dict(zip(_TASK_COLUMNS, (z, dz, z_ref, error, forces, singular + limited, limited), strict=True))
+
+
+def _not_measured(controller: Controller) -> str:
+    """Sentence about what is not known of a run because a controller of somebody's own does not tell it."""
+    missing = [name for name in ("task", "reference") if not hasattr(controller, name)]
+    if not missing or type(controller).__module__.startswith("eos_pin."):
+        return ""
+    return (
+        f"no task error is known: {type(controller).__name__} has no attribute {' and no '.join(missing)}. Set "
+        f"{' and '.join(missing)} in its constructor, to None where there is none"
+    )
 
 
 def _ending(ending: BaseException, t: float) -> tuple[str, str]:

@@ -20,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from eos_pin.arrays import JointVector
-from eos_pin.errors import EosError
+from eos_pin.errors import EosError, InputError
 from eos_pin.files import write_atomically
 from eos_pin.interrupts import patient_interrupts
 from eos_pin.tables import figure as figure
@@ -71,6 +71,16 @@ class Output:
     csv: Path | None = None
     view: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     seed: int = 0
+
+    def without(self, *names: str, reason: str) -> None:
+        """Refuse options that a command has no use for.
+
+        Raises:
+            InputError: One of them is given; says why it does not apply.
+        """
+        for name in names:
+            if getattr(self, name):
+                raise InputError(f"--{name} {getattr(self, name)} does not apply: {reason}")
 
     def within(self, folder: Path | None, *, names: Mapping[str, str]) -> Output:
         """The same with a default path below `out`, or `folder`, for every file in `names` that has none.
@@ -238,7 +248,8 @@ def run_table(summary: Mapping[str, Any]) -> Table:
     table.add_row("duration", f"{summary['duration']:g} s, {summary['cycles']} cycles{period}")
     settled = f"after {summary['settled_from']:g} s"
     table.add_row(f"task error, {settled}", f"{figure(summary['task_error_max'])} m or rad")
-    table.add_row(f"self-motion error, {settled}", figure(summary["self_motion_error_max"]))
+    nothing = "none: the task takes all joints (r = 0)" if summary["m"] and not summary["r"] else ""
+    table.add_row(f"self-motion error, {settled}", nothing or figure(summary["self_motion_error_max"]))
     drift = ", ".join(figure(d) for d in summary["joint_drift_per_cycle"]) or "-"
     table.add_row("joint drift, cycle by cycle", drift)
     table.add_row("chart switches", str(summary["chart_switches"]))

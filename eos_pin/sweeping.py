@@ -154,6 +154,8 @@ def sweep(
     planned = sweeps.trials(
         **{name: values if name == "seed" else list(values) for name, values in axes.items()}, **vars(same)
     )
+    if seeds > 1 and not any((*swept.noise, *swept.model_error)):
+        raise InputError(f"--seeds {seeds} does not apply: nothing is random; add --noise or --model-error")
     rows = _watched(planned, kept.out / "finished", jobs)
     over = [name for name, values in axes.items() if len(values) > 1 and name != "seed"]
     console.print(grid(f"{len(rows)} runs", *_overview(rows, over)))

@@ -33,7 +33,7 @@ from eos_pin.arrays import JointVector
 from eos_pin.controllers import Controller
 from eos_pin.errors import EosError, InputError, OutputError, UnknownNameError
 from eos_pin.files import write_atomically
-from eos_pin.options import ControlOptions, PathOptions, RobotOptions, RunOptions, TaskOptions
+from eos_pin.options import ControlOptions, PathOptions, RobotOptions, RunOptions, TaskOptions, check_options
 from eos_pin.recording import Observer, uninterrupted
 from eos_pin.results import Result, provenance
 from eos_pin.robot import Robot
@@ -140,6 +140,7 @@ class Trial:
         Raises:
             EosError: The settings do not fit the robot, or each other.
         """
+        check_options(self.path, self.control, self.simulation)
         robot = self.robot.load()
         task, q = self.task.make(robot)
         path = self.path.make(task, q)

@@ -76,10 +76,13 @@ class Task(ABC):
     units: tuple[str, ...]
     kind: str = ""
     arguments: tuple[str, ...] = ()
+    #: Whether the placements of all frames are computed before the hooks; the package's own tasks compute theirs.
+    _needs_frames: bool = True
 
     def __init_subclass__(cls, kind: str = "", **rest: Any) -> None:
         """Make the task known to `task_from` under the name `kind`."""
         super().__init_subclass__(**rest)
+        cls._needs_frames = not cls.__module__.startswith("eos_pin.")
         if kind:
             cls.kind = kind
             _KINDS[kind] = cls
@@ -102,11 +105,15 @@ class Task(ABC):
     def value(self, q: JointVector) -> Point:
         """Task point z = G(q); Eq. (1)."""
         pin.forwardKinematics(self._model, self._data, q)
+        if self._needs_frames:
+            pin.updateFramePlacements(self._model, self._data)
         return self._z(self._data)
 
     def linearize(self, q: JointVector) -> tuple[Point, Jacobian]:
         """Task point z and Jacobian J = G'(q), (m, n); Eq. (2)."""
         pin.computeJointJacobians(self._model, self._data, q)
+        if self._needs_frames:
+            pin.updateFramePlacements(self._model, self._data)
         return self._z(self._data), self._matrix(self._J(self._data))
 
     def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
@@ -114,6 +121,8 @@ class Task(ABC):
         model, data = self._model, self._data
         pin.forwardKinematics(model, data, q, dq, self._rest)
         pin.computeJointJacobians(model, data)
+        if self._needs_frames:
+            pin.updateFramePlacements(model, data)
         J = self._J(data)
         if J.ndim == 1:
             J = self._matrix(J)
@@ -125,7 +134,7 @@ class Task(ABC):
 
     @abstractmethod
     def _z(self, data: pin.Data) -> Point:
-        """Task point, after a pass that computed the placements."""
+        """Task point, after a pass that computed the placements of joints and frames."""
 
     @abstractmethod
     def _J(self, data: pin.Data) -> Jacobian:
@@ -203,6 +212,7 @@ class StackedTask(Task, kind="stacked"):
         if any(task.robot is not tasks[0].robot for task in tasks):
             raise InputError("the parts of a StackedTask must belong to one Robot object, these belong to several")
         self.tasks = tuple(tasks)
+        self._needs_frames = any(task._needs_frames for task in tasks)
         labels = [f"{label}{i}" if len(tasks) > 1 else label for i, t in enumerate(tasks, 1) for label in t.labels]
         if len({label for t in tasks for label in t.labels}) == sum(t.m for t in tasks):
             labels = [label for t in tasks for label in t.labels]

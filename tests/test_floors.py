@@ -57,7 +57,8 @@ TABLE = """
                 limits          daqp
                 loop
                 batch
-    5 run       presets         pinocchio
+    5 run       strength
+                presets         pinocchio
                 pathfiles
                 systems
                 margins
@@ -66,6 +67,7 @@ TABLE = """
                 simulation      scipy
                 kinematics      scipy
                 mujoco_plant    mujoco pinocchio
+                applicability
                 options
                 sweeps          joblib pyarrow
                 applications    coal
