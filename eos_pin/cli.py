@@ -283,6 +283,7 @@ def replay(run: tyro.conf.Positional[Path], output: Output = Output(), robot: st
     plant, missing = None, ""
     try:
         plant = result.load_plant(robot)
+        say_notes(plant)
     except EosError as error:
         if robot:
             raise

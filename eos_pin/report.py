@@ -231,8 +231,12 @@ def say_notes(made: Robot | Trajectory) -> None:
 
 
 def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
-    """Table that fits the terminal; see `eos_pin.tables`."""
-    return fitted(title, columns, rows, console.width)
+    """Table that fits the terminal, in the letters it has; see `eos_pin.tables`."""
+
+    def spelled(cell: Any) -> Any:
+        return cell if isinstance(cell, float) else shown(str(cell), console.encoding)
+
+    return fitted(spelled(title), columns, [[spelled(cell) for cell in row] for row in rows], console.width)
 
 
 def run_table(summary: Mapping[str, Any]) -> Table:

@@ -196,15 +196,19 @@ def _watched(planned: list[Trial], folder: Path, jobs: int) -> list[Row]:
 
 
 def _check(axes: dict[str, Sequence[Any]], same: Row) -> None:
-    """Refuse bad input before anything runs: every value is tried once, with the first of all others."""
+    """Refuse bad input, and tell the notes, before anything runs: each value is tried with the first of all others."""
     from eos_pin.sweeps import Trial
 
     if not axes["robot"]:
         raise InputError("a sweep needs a robot, such as `eos-pin sweep panda`; `eos-pin robots` lists all")
     first = {name: values[0] for name, values in axes.items()} | same
     settings = [first | {name: value} for name, values in axes.items() if name != "seed" for value in values]
+    notes: dict[str, None] = {}
     for trial in {trial.key: trial for trial in (Trial.of(**each) for each in settings)}.values():
-        trial.prepare()
+        machine, *_ = trial.prepare()
+        notes.update(dict.fromkeys(f"{machine.name}: {note}" for note in machine.notes))
+    for note in notes:
+        stderr.print(f"Note: {note}", markup=False, soft_wrap=True)
 
 
 def _overview(rows: Sequence[Row], over: Sequence[str]) -> tuple[list[str], list[list[Any]]]:

@@ -106,10 +106,12 @@ def test_notes_are_printed_beside_the_results_of_every_command(capsys):
         ["track", "arm.urdf", "--duration", "0.1", "--out", "out"],
         ["compare", "arm.urdf", "--duration", "0.1", "--controllers", "eos", "--out", "out"],
         ["ik", "arm.urdf", "--to", "0.3", "0.2", "1.0"],
+        ["replay", "out/run.npz", "--csv", "run.csv"],
+        ["sweep", "arm.urdf", "--duration", "0.1", "--kp", "50,100", "--jobs", "1"],
     ):
         assert main(words) == 0
         said = capsys.readouterr()
-        assert "Note: 1 mesh files were not found" in said.err
+        assert said.err.count("1 mesh files were not found") == said.err.count("Note: ") == 1
         assert "Note" not in said.out
     assert main(["info", "arm.urdf"]) == 0
     assert "Note: 1 mesh files were not found" in capsys.readouterr().out
