@@ -28,8 +28,8 @@ from rich.progress import track
 
 from eos_pin import Chart, ControlLoop, EosController, Hold, PositionTask, Robot
 from eos_pin.cli import run
-from eos_pin.controllers import EosMemory
 from eos_pin.driving import Drive
+from eos_pin.memories import EosMemory
 from eos_pin.report import console, grid, stderr, write_json
 
 #: Length [m] and mass [kg] of each chain, and the angle its arc turns through [rad].

@@ -45,7 +45,7 @@ from eos_pin import (
 )
 from eos_pin.cli import run
 from eos_pin.compiled import ORIGINALS, kernels
-from eos_pin.controllers import EosMemory
+from eos_pin.memories import EosMemory
 from eos_pin.report import console, grid, stderr, write_json
 
 TIP, REST = "panda_hand_tcp", np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])

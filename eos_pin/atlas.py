@@ -136,9 +136,9 @@ class Atlas:
         """Chart based at q that continues v from `chart`; Eq. (27)."""
         return Chart.at(self.task, q, previous=chart)
 
-    def holds(self, chart: Chart, J: Jacobian) -> bool:
-        """Whether `chart` still serves where the Jacobian is J."""
-        return chart.contains(J, self.threshold)
+    def holds(self, chart: Chart, J: Jacobian, q: JointVector | None = None) -> bool:
+        """Whether `chart` still serves where the Jacobian is J and, if they are given, at these joints."""
+        return chart.contains(J, self.threshold) and (q is None or chart.room(q) > 0.0)
 
     def follow(
         self,
@@ -316,7 +316,9 @@ class Atlas:
             message = (
                 f"no posture that was tried leads there: it is out of reach, by {found.residual[best]:.3g} or less"
             )
-        return self._reached(found.q[best], "jump", None, z, message)
+        # Nobody should have to turn further than he must.
+        near = self.task.robot.unwrap(found.q[best], q)
+        return self._reached(near, "jump", None, z, message)
 
     def _reached(self, q: JointVector, way: Way, path: JointPath | None, z: Point, message: str) -> Reached:
         robot = self.task.robot
@@ -331,7 +333,7 @@ class _Traveller:
     def __init__(self, atlas: Atlas, chart: Chart, q: JointVector, tol: float) -> None:
         self.atlas, self.tol = atlas, tol
         self.charts = [chart]
-        self.iterations = 0
+        self.iterations, q = 0, chart.unwrap(q)
         self.reason, self.residual = "", 0.0
         self.inverse = Inverse(q, chart.u(q), chart.B_bar, 0, 0.0)
         self.z = atlas.task.value(q)
@@ -358,9 +360,13 @@ class _Traveller:
             self._renew(chart)
             return False
         self.iterations += found.iterations
+        if chart.unwrap(found.q) is not found.q:
+            # Further than a continuous joint may turn on one chart.
+            self._renew(chart)
+            return False
         self.inverse, self.z, self.v = found, z, v
         if found.iterations > self.atlas.max_iterations or not self.atlas.holds(
-            chart, self.atlas.task.linearize(found.q)[1]
+            chart, self.atlas.task.linearize(found.q)[1], found.q
         ):
             self._renew(chart)
         return True

@@ -57,7 +57,7 @@ class Avoidance:
         """Change of v that makes way at time t [s], (r,)."""
         rows, missing = self._repulsion(t, q)
         pull = 0.0 if self.posture is None else self.pull**2
-        away = 0.0 * q if self.posture is None else self.posture - q
+        away = 0.0 * q if self.posture is None else self.clearance.robot.way(q, np.asarray(self.posture))
         # dq = D dv is the self-motion: the task does not feel it.
         D = chart.point(q, 0.0 * q).D
         A = rows @ D

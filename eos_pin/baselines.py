@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lapack
 
-from eos_pin.arrays import JointVector, VectorLike, readonly, spread, vector
+from eos_pin.arrays import JointVector, VectorLike
 from eos_pin.controllers import TaskController
 from eos_pin.errors import InputError, SingularError
 from eos_pin.linear import RANK_TOLERANCE, check_rank
-from eos_pin.objectives import ReduceKineticEnergy
+from eos_pin.objectives import ReduceKineticEnergy, posture_value
 from eos_pin.robot import Robot
 from eos_pin.targets import Trajectory
 from eos_pin.tasks import Task
@@ -81,6 +81,8 @@ class DampedNullSpace(NullSpaceLaw):
 class PostureNullSpace(NullSpaceLaw):
     """Posture control M (kp (q_rest − q) − kd dq) in the null space, what most people use.
 
+    Continuous joints go the shorter way round, see `Robot.way`. `q`, `kp` and `kd` may be assigned at any time.
+
     Args:
         q: Posture, (n,) [rad or m].
         kp: Gain [1/s²].
@@ -88,13 +90,16 @@ class PostureNullSpace(NullSpaceLaw):
     """
 
     def __init__(self, q: VectorLike, *, kp: float | VectorLike = 100.0, kd: float | VectorLike = 20.0) -> None:
-        self.q = readonly(vector(q, None, "the posture"))
-        self.kp, self.kd = (readonly(spread(k, self.q.size, "a posture gain")) for k in (kp, kd))
+        self.q: JointVector
+        self.q, self.kp, self.kd = q, kp, kd  # type: ignore[assignment]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        super().__setattr__(name, posture_value(self, name, value))
 
     def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
         if self.q.size != robot.n:
             raise InputError(f"the posture has {self.q.size} joints, {robot.name!r} has {robot.n}")
-        return robot.mass(q) @ (self.kp * (self.q - q) - self.kd * dq)
+        return robot.mass(q) @ (self.kp * robot.way(q, self.q) - self.kd * dq)
 
 
 class TaskSpaceController(TaskController):

@@ -26,6 +26,8 @@ from eos_pin.tasks import Point, Task, TaskPoint
 
 #: Up to this many joints one n × n solve is cheaper than the m × m form with its extra products.
 DENSE_SOLVE = 16
+#: A chart ends where a continuous joint has turned this far from its base, well before the other side [rad].
+TURN = 2.5
 EDGE = "G'U is singular: this configuration is on the edge of the chart; make a chart at it"
 
 
@@ -59,7 +61,7 @@ class Chart:
 
         Args:
             task: The task.
-            q: Base configuration.
+            q: Base configuration; for continuous joints by the angle nearest to the base of `previous`.
             previous: Chart that is left. v continues its value there, and V is turned within the null space to lie
                 as close to the previous V as it can (orthogonal Procrustes), so that dv = Vᵀ dq jumps the least.
 
@@ -67,7 +69,8 @@ class Chart:
             SingularError: G'(q) has not full rank.
             InputError: q has the wrong length or is not finite.
         """
-        q_bar = readonly(task.robot.posture(q, "the base configuration q"))
+        q = task.robot.posture(q, "the base configuration q")
+        q_bar = readonly(q if previous is None else previous.unwrap(q))
         z_bar, J = task.linearize(q_bar)
         check_rank(J)
         row_basis = readonly(np.linalg.qr(J.T)[0])
@@ -93,13 +96,27 @@ class Chart:
         """Degree of redundancy n − m."""
         return self.v_bar.size
 
+    def unwrap(self, q: JointVector) -> JointVector:
+        """The same configuration, continuous joints at the angle nearest to the base point."""
+        if not self.task.robot.turns:
+            return q
+        far = q - self.q_bar
+        return q if far.dot(far) < math.pi**2 else self.task.robot.unwrap(q, self.q_bar)
+
+    def room(self, q: JointVector) -> float:
+        """How much further a continuous joint may turn before the chart ends [rad]; infinite without such joints."""
+        if not self.task.robot.turns:
+            return math.inf
+        far = np.abs(self.unwrap(q) - self.q_bar)
+        return TURN - float(far.max(where=self.task.robot.continuous, initial=0.0))
+
     def v(self, q: JointVector) -> SelfMotionVector:
-        """Self-motion coordinates v = v_bar + Vᵀ(q − q_bar); from Eq. (11)."""
-        return self.basis.project(q) + self._v_zero
+        """Self-motion coordinates v = v_bar + Vᵀ(q − q_bar), continuous joints wrapped or not; from Eq. (11)."""
+        return self.basis.project(self.unwrap(q) if self.task.robot.turns else q) + self._v_zero
 
     def u(self, q: JointVector) -> TaskVector:
         """Coordinates u along U of a configuration, −(UᵀU)⁻¹Uᵀ(q − q_bar); from Eq. (11)."""
-        return -self.B_bar.dot(self.U.T.dot(q - self.q_bar))
+        return -self.B_bar.dot(self.U.T.dot(self.unwrap(q) - self.q_bar))
 
     def q(self, v: SelfMotionVector, u: TaskVector) -> JointVector:
         """Joints q = q_bar + V(v − v_bar) − U u; Eq. (11)."""
@@ -157,7 +174,7 @@ class Chart:
 
     def point(self, q: JointVector, dq: JointVector) -> ChartPoint:
         """Velocity and acceleration kinematics at a state of the robot; Eqs. (15)–(20)."""
-        return ChartPoint(self, q, dq, self.task.at(q, dq))
+        return ChartPoint(self, self.unwrap(q), dq, self.task.at(q, dq))
 
     def B(self, J: Jacobian, start: Float[Array, "m m"] | None = None, *, tol: float = 1e-12) -> Float[Array, "m m"]:
         """B = (G'U)⁻¹ where the Jacobian is J; Eq. (15).

@@ -11,20 +11,21 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from eos_pin.arrays import Jacobian, JointVector, SelfMotionVector, TaskVector, VectorLike, readonly, spread, vector
+from eos_pin.arrays import Jacobian, JointVector, TaskVector, VectorLike, readonly, spread, vector
 from eos_pin.atlas import Atlas
 from eos_pin.charts import Chart
 from eos_pin.driving import Drive
 from eos_pin.errors import InputError, SingularError
+from eos_pin.memories import EosMemory, Observation
 from eos_pin.objectives import Objective, Track
 from eos_pin.robot import Robot
-from eos_pin.targets import Target, Trajectory
-from eos_pin.tasks import Point, Task, TaskPoint
+from eos_pin.targets import Target, Trajectory, check_reference
+from eos_pin.tasks import Task, TaskPoint
 
 #: Rate at which the acceleration that is carried over to the next chart is forgotten [1/s], and that for every radian
 #: per second of joint speed: it has to be gone before a fast robot is through with the chart.
@@ -52,6 +53,13 @@ class Controller(ABC):
         """Memory for the time from here on."""
         return memory
 
+    def take_over(self, t: float, q: JointVector, dq: JointVector, memory: Any) -> Any:
+        """Memory at a state where a loop goes over to this controller from another one, whose memory is given.
+
+        By default that at the start of a run.
+        """
+        return self.start(t, q, dq)
+
     def step(self, t: float, q: JointVector, dq: JointVector, memory: Any) -> tuple[JointVector, Any]:
         """Torque and memory of one period of a sampled loop: `update` where it is due, then `torque`."""
         if self.margin(t, q, dq, memory) <= 0.0:
@@ -65,6 +73,9 @@ class Controller(ABC):
 
 class TaskController(Controller):
     """A controller that makes a task follow a trajectory with linear error dynamics; Eq. (37).
+
+    Its attributes may be assigned at any time, and count from the next torque on; a value that does not fit is refused.
+    The task stays: for another one a `ControlLoop` takes another controller.
 
     Args:
         task: The task; its robot is the model the controller knows, which need not be the plant.
@@ -91,20 +102,36 @@ class TaskController(Controller):
         gravity: bool = True,
     ) -> None:
         task.robot.check_dynamics()
-        self.task, self.reference, self.feedforward, self.gravity = task, reference, feedforward, gravity
-        self._model = task.robot if gravity else task.robot.with_gravity(0.0)
-        self.kp, self.kd = (
-            readonly(spread(k, task.m, f"the task gain {name}")) for k, name in ((kp, "kp"), (kd, "kd"))
-        )
-        target = reference(0.0)
-        try:
-            task.point(target.z)
-        except InputError as error:
-            raise InputError(f"the reference does not fit the task: {error}") from error
-        if target.dz.shape != (task.m,):
+        self._version, self._model = object(), task.robot
+        self.task, self.feedforward, self.gravity = task, feedforward, gravity
+        self.kp: TaskVector
+        self.kd: TaskVector
+        self.kp, self.kd, self.reference = kp, kd, reference  # type: ignore[assignment]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, self._accepted(name, value))
+        if name in ("kp", "kd", "self_motion", "smooth"):
+            # What was made of the old values is made anew.
+            object.__setattr__(self, "_version", object())
+
+    def _accepted(self, name: str, value: Any) -> Any:
+        """A value to be assigned, checked and in the form in which it is kept.
+
+        Raises:
+            InputError: It does not fit.
+        """
+        if name in ("kp", "kd"):
+            return readonly(spread(value, self.task.m, f"the task gain {name}"))
+        if name == "reference":
+            check_reference(self.task, value)
+        elif name == "gravity":
+            object.__setattr__(self, "_model", self.robot if value else self.robot.with_gravity(0.0))
+        elif name in ("task", "robot") and "task" in vars(self):
             raise InputError(
-                f"the reference has {target.dz.size} velocities, but {task!r} has {task.m}; a Hold takes m="
+                f"the {name} of a controller cannot be changed. Make another controller; a running loop takes it over "
+                "by: loop.controller = …"
             )
+        return value
 
     @property
     def robot(self) -> Robot:
@@ -140,48 +167,6 @@ class TaskController(Controller):
         point = self.task.at(q, dq)
         ddq = self._model.forward_dynamics(q, dq, self.torque(t, q, dq, memory))
         return self.task_acceleration(t, point) - point.J @ ddq - point.drift
-
-
-@dataclass(frozen=True, eq=False)
-class EosMemory:
-    """What `EosController` remembers.
-
-    Attributes:
-        drive: What turns the law into joint accelerations on the chart it is on.
-        number: How many charts came before it.
-        law: The law and `drive` in one, compiled, where there is that.
-        since: Time from which the chart is used [s].
-        carried: What the self-motion acceleration lacked then to that on the chart before, (r,); None on the first.
-    """
-
-    drive: Drive
-    number: int = 0
-    law: Any = None
-    since: float = 0.0
-    carried: SelfMotionVector | None = None
-
-    @property
-    def chart(self) -> Chart:
-        """The chart it is on."""
-        return self.drive.chart
-
-
-class Observation(NamedTuple):
-    """What `EosController` does in one state.
-
-    Attributes:
-        tau: Joint torques [N m or N].
-        z: Task point.
-        dz: Task velocity [m/s, rad/s].
-        to_singularity: Task acceleration given up because the task is nearly singular, (m,).
-        to_limits: Task acceleration given up to limits, (m,).
-    """
-
-    tau: JointVector
-    z: Point
-    dz: TaskVector
-    to_singularity: TaskVector
-    to_limits: TaskVector
 
 
 class EosController(TaskController):
@@ -225,30 +210,79 @@ class EosController(TaskController):
         super().__init__(task, reference, kp=kp, kd=kd, feedforward=feedforward, gravity=gravity)
         self.smooth = smooth
         self._rest, self._unchanged = readonly(np.zeros(task.m)), readonly(np.zeros(task.robot.n))
+        self._turns = task.robot.turns
+        #: A memory that was made of values of before, and what was made of it.
+        self._renewed: tuple[Any, Any] = (None, None)
         self.self_motion = self_motion or Track()
         self.atlas = atlas or Atlas(task)
-        if self.atlas.task is not task:
+
+    def _accepted(self, name: str, value: Any) -> Any:
+        if name == "atlas" and value.task is not self.task:
             raise InputError("the atlas of an EosController must be of the controller's own task object")
+        if name == "self_motion" and name in vars(self):
+            value.check(self.robot.n, self.robot.n - self.task.m)
+        return super()._accepted(name, value)
 
     def start(self, t: float, q: JointVector, dq: JointVector) -> EosMemory:
-        memory = self._memory(self.atlas.start(q), 0)
-        # A wrong shape of v_d or of its gains is refused here, not in the middle of a run.
+        chart = self.atlas.start(q)
+        self._check_objective(t, q, dq, chart)
+        return self._memory(chart, 0)
+
+    def take_over(self, t: float, q: JointVector, dq: JointVector, memory: Any) -> EosMemory:
+        """As for any controller; but for the same task on the same robot the chart stays, and with it what v means."""
+        if not isinstance(memory, EosMemory) or (
+            memory.chart.task is not self.task
+            and (memory.chart.task.robot, memory.chart.task.describe()) != (self.robot, self.task.describe())
+        ):
+            return self.start(t, q, dq)
+        chart = memory.chart if memory.chart.task is self.task else replace(memory.chart, task=self.task)
+        self._check_objective(t, q, dq, chart)
+        return replace(memory, **self._made(chart))
+
+    def _check_objective(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> None:
+        """Refuse a wrong shape of v_d or of its gains here, not in the middle of a run."""
         try:
-            F_v = self.self_motion.acceleration(t, q, dq, memory.chart)
+            F_v = self.self_motion.acceleration(t, q, dq, chart)
         except ValueError as error:
             raise InputError(f"the self-motion objective does not fit this robot and task: {error}") from error
-        vector(F_v, memory.chart.r, f"what {type(self.self_motion).__name__} asks of the self-motion")
-        return memory
+        vector(F_v, chart.r, f"what {type(self.self_motion).__name__} asks of the self-motion")
 
     def _memory(self, chart: Chart, number: int) -> EosMemory:
+        return EosMemory(number=number, **self._made(chart))
+
+    def _made(self, chart: Chart) -> dict[str, Any]:
+        """What a memory holds of gains, targets and the chart."""
         drive, track, law = Drive(chart, smooth=self.smooth), self.self_motion, None
         # A law of one's own is used as it is.
         if type(track) is Track and type(self).task_acceleration is TaskController.task_acceleration:
             law = drive.tracking_law(self.kp, self.kd, *track.law(chart.r))
-        return EosMemory(drive, number, law)
+        return {"drive": drive, "law": law, "made_of": (self._version, getattr(track, "version", None))}
+
+    def _current(self, memory: EosMemory) -> EosMemory:
+        """The same memory, made anew where it was made of other gains or another target than there are now."""
+        if not self._is_old(memory):
+            return memory
+        if memory.chart.task is not self.task:
+            raise InputError(
+                "this memory is of a controller with another task object; begin with that of start(t, q, dq), or let "
+                "take_over(t, q, dq, memory) make one of it"
+            )
+        before, renewed = self._renewed
+        if before is not memory or self._is_old(renewed):
+            renewed = replace(memory, **self._made(memory.chart))
+            # Kept, for a driver that goes on with the memory it has.
+            self._renewed = memory, renewed
+        return renewed
+
+    def _is_old(self, memory: EosMemory) -> bool:
+        """Whether a memory was made of other gains or another target than there are now."""
+        version, version_v = memory.made_of
+        return version is not self._version or (
+            memory.law is not None and version_v is not self.self_motion.version  # type: ignore[attr-defined]
+        )
 
     def torque(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> JointVector:
-        ddq, _, J = self._drive(t, q, dq, memory)
+        ddq, _, J = self._drive(t, q, dq, self._current(memory))
         return self._within(q, dq, ddq, J)[0]
 
     def _drive(
@@ -256,6 +290,8 @@ class EosController(TaskController):
     ) -> tuple[JointVector, float, Jacobian]:
         """H F* + E, a bound of the chart's margin, and G'; near a singularity of the task what `Drive` makes of it."""
         more = None
+        if self._turns:
+            q = memory.chart.unwrap(q)
         if memory.carried is not None and t - memory.since < LONG_AGO:
             rate = max(FORGETTING, PER_SPEED * math.sqrt(dq.dot(dq)))
             more = math.exp(rate * (memory.since - t)) * memory.carried
@@ -289,7 +325,7 @@ class EosController(TaskController):
 
     def observe(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> Observation:
         """The torque at a state, and what it is made of, for the record of a run."""
-        ddq, margin, J = self._drive(t, q, dq, memory)
+        ddq, margin, J = self._drive(t, q, dq, self._current(memory))
         tau, change = self._within(q, dq, ddq, J)
         singular = self._rest
         # Where a direction fades no bound of the margin comes with the acceleration.
@@ -301,8 +337,10 @@ class EosController(TaskController):
 
     def margin(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> float:
         _, J = self.task.linearize(q)
+        memory = self._current(memory)
         try:
-            return memory.drive.margin(J, self.atlas.threshold) - self.atlas.threshold
+            margin = memory.drive.margin(J, self.atlas.threshold) - self.atlas.threshold
+            return min(margin, memory.chart.room(q)) if self._turns else margin
         except SingularError:
             # No chart can be made here; the one there is serves until the task has full rank again.
             return 1.0
@@ -316,14 +354,16 @@ class EosController(TaskController):
         if not self.smooth:
             return following
         # dv is another on the new chart, and so is what the law asks of it; the difference is forgotten by and by.
-        ddq, _, _ = self._drive(t, q, dq, memory)
+        ddq, _, _ = self._drive(t, q, dq, self._current(memory))
         F = self.asked(t, q, dq, chart, self.task.at(q, dq))
         return replace(following, since=t, carried=chart.dv(ddq) - F[chart.m :])
 
     def step(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> tuple[JointVector, EosMemory]:
+        memory = self._current(memory)
         ddq, margin, J = self._drive(t, q, dq, memory)
         # The bound that comes with the acceleration saves the chart's exact margin nearly always.
-        if margin <= self.atlas.threshold and not self._holds(memory.chart, J):
+        worn = margin <= self.atlas.threshold and not self._holds(memory.chart, J)
+        if worn or (self._turns and memory.chart.room(q) <= 0.0):
             memory = self.update(t, q, dq, memory)
             ddq, _, J = self._drive(t, q, dq, memory)
         return self._within(q, dq, ddq, J)[0], memory

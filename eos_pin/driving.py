@@ -76,7 +76,8 @@ class Drive:
             kd_v: Gain on dv, (r,).
             v_d: Where v is held.
         """
-        if self._compiled is None or not isinstance(v_d, Hold):
+        # A Hold of one's own kind may move.
+        if self._compiled is None or type(v_d) is not Hold:
             return None
         task = self.chart.task
         at = (isinstance(task, FrameTask) and type(task).at is FrameTask.at and task.compiled) or task.at

@@ -65,6 +65,10 @@ class JointLimits:
     braking: JointVector
     torque: JointVector
 
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper", "velocity", "acceleration", "braking", "torque"):
+            object.__setattr__(self, name, readonly(getattr(self, name)))
+
     @classmethod
     def of(
         cls,
@@ -216,9 +220,16 @@ class LimitedEosController(EosController):
             task, reference, self_motion, kp=kp, kd=kd, feedforward=feedforward, gravity=gravity, atlas=atlas
         )
         self.limits = limits or JointLimits.of(task.robot)
-        self.period = number(period, "the control period", above=0.0)
-        self._viability = _Viability(self.limits, self.period)
+        self.period = period
         self._smallest = SmallestChange(task.m, task.robot.n)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        super().__setattr__(name, number(value, "the control period", above=0.0) if name == "period" else value)
+        if name in ("limits", "period") and "period" in vars(self):
+            self._viability = _Viability(self.limits, self.period)
+        if name in ("limits", "period", "gravity"):
+            # It holds copies.
+            vars(self).pop("_compiled", None)
 
     def describe(self) -> dict[str, Any]:
         kept = {name: getattr(self.limits, name).tolist() for name in ("velocity", "braking", "torque")}

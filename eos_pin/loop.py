@@ -7,10 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from eos_pin.arrays import Array, JointVector, TaskVector, VectorLike, number, numbers, spread, vector
+from eos_pin.arrays import Array, JointVector, TaskVector, VectorLike, number, numbers, readonly, spread, vector
 from eos_pin.compiled import twin
 from eos_pin.controllers import Controller, TaskController
 from eos_pin.errors import InputError, StateError
+from eos_pin.robot import Robot
+
+#: A move of a continuous joint from one state to the next beyond which it is looked at whether its angle was wrapped
+#: [rad].
+WRAPPED = 0.5 * math.pi
 
 
 class ControlLoop:
@@ -21,43 +26,120 @@ class ControlLoop:
     if it is near the one that was refused. Torques beyond the limits are cut, and `saturated` says so. At a target
     that cannot be reached and at a singularity of the task the torque stays bounded, and `given_up` says what it lacks.
 
+    Angles of continuous joints may come wrapped, such as to (−π, π], or not: the loop counts the turns.
+
+    Attributes of the controller, of its objective and of its gains count from the next step on when they are assigned,
+    and so does another controller: see `controller`.
+
     Args:
         controller: The controller.
         torque_limits: Cut torques at these limits, (n,) [N m or N], infinite where there is none; True for those of the
             controller's robot.
         jump: Distance by which joints may move between two steps beyond what their velocities say [rad or m].
+        torque_rate: Most that a torque changes in a second, one number or (n,) [N m/s or N/s]. The torque then begins
+            at `first_torque`, and follows the controller's as fast as this allows.
+        soft_start: Time in which a run goes over from `first_torque` to the controller's torque, and to that of another
+            controller from the last torque [s]. Meanwhile gravity is compensated, and limits that the controller keeps,
+            other than of torque, are not kept.
+        first_torque: Torque at the start of a run where one of the last two is given, (n,) [N m or N], such as the
+            measured one; by default that which holds the robot against gravity, as the controller knows it.
 
     Attributes:
         memory: What the controller remembers: the chart it is on.
         saturated: Whether the last torque was cut.
+        slowed: Whether the last torque was held back by `torque_rate`.
+
+    Raises:
+        InputError: A limit or a time is out of its range, or of another size than the robot.
     """
 
-    def __init__(self, controller: Controller, *, torque_limits: bool | VectorLike = True, jump: float = 0.2) -> None:
-        robot = getattr(controller, "robot", None)
-        self.controller = controller
+    def __init__(
+        self,
+        controller: Controller,
+        *,
+        torque_limits: bool | VectorLike = True,
+        jump: float = 0.2,
+        torque_rate: float | VectorLike | None = None,
+        soft_start: float = 0.0,
+        first_torque: VectorLike | None = None,
+    ) -> None:
         self.memory: Any = None
-        self.saturated = False
-        self._shape = None if robot is None else (robot.n,)
+        self.saturated = self.slowed = False
         self._jump = math.inf if jump == math.inf else number(jump, "the largest jump", above=0.0)
-        self._limits: JointVector = np.array(np.inf)
-        if torque_limits is True:
-            self._limits = self._limits if robot is None else robot.effort
-        elif torque_limits is not False:
-            size = np.size(torque_limits) if robot is None else robot.n
-            # Infinite where there is none.
-            given = np.minimum(numbers(torque_limits, "the torque limits"), np.finfo(float).max)
-            self._limits = spread(given, size, "the torque limits")
-            if not (self._limits > 0.0).all():
-                raise InputError(f"the torque limits must be above 0, got {self._limits.tolist()}")
-        # Without any limit a torque passes as long as its square is a number.
-        per_limit = np.maximum(1.0 / self._limits, 1e-150)
-        self._per_limit = np.array(np.broadcast_to(per_limit, self._shape or per_limit.shape), ndmin=1)
+        self._given = torque_limits, torque_rate, first_torque
+        soft_start = number(soft_start, "the time of a soft start", at_least=0.0)
+        self._ramp = None if torque_rate is None and not soft_start else Ramp(soft_start)
+        self._fit(controller)
         self.reset()
 
+    @property
+    def controller(self) -> Controller:
+        """The controller; another one may be assigned at any time, and is used from the next step on.
+
+        One for the same task on the same robot goes on where the other one was: on its chart, with what v means there.
+        One for another task starts anew where the robot is, and v is 0 there; the torque steps to that of the new law,
+        unless `torque_rate` or `soft_start` was given. A robot with another number of joints starts a new run.
+
+        Raises:
+            InputError: It does not fit the robot, or limits that were given; the controller before stays.
+            SingularError: Its task is singular where the robot is; the controller before stays.
+        """
+        return self._controller
+
+    @controller.setter
+    def controller(self, controller: Controller) -> None:
+        robot = getattr(controller, "robot", None)
+        if self._watch is not None and (self._robot is None or robot is None or self._robot.n == robot.n):
+            t, q = self._watch.last
+            # Refused now, not in the middle of the run.
+            controller.take_over(t, q, np.zeros(q.size), self.memory)
+            self._fit(controller)
+            self._taking_over = True
+            if self._ramp is not None:
+                self._ramp.begin_again()
+        else:
+            self._fit(controller)
+            self.reset()
+
+    def _fit(self, controller: Controller) -> None:
+        """Take a controller, and what is limited for it, unless something does not fit."""
+        robot: Robot | None = getattr(controller, "robot", None)
+        limits, rate, first = self._given
+        bounds: JointVector = np.array(np.inf)
+        if limits is True:
+            bounds = bounds if robot is None else robot.effort
+        elif limits is not False:
+            size = np.size(limits) if robot is None else robot.n
+            # Infinite where there is none.
+            given = np.minimum(numbers(limits, "the torque limits"), np.finfo(float).max)
+            bounds = spread(given, size, "the torque limits")
+            if not (bounds > 0.0).all():
+                raise InputError(f"the torque limits must be above 0, got {bounds.tolist()}")
+        if rate is not None:
+            rate = spread(rate, np.size(rate) if robot is None else robot.n, "the torque rate")
+            if not (rate > 0.0).all():
+                raise InputError(f"the torque rate must be above 0 N m/s, got {rate.tolist()}")
+        if first is not None:
+            first = readonly(vector(first, None if robot is None else robot.n, "the first torque"))
+        self._controller, self._robot, self._limits = controller, robot, bounds
+        self._shape = None if robot is None else (robot.n,)
+        if self._ramp is not None:
+            self._ramp.rate, self._ramp.first, self._ramp.limits = rate, first, bounds
+            # Without gravity where the controller leaves that to the robot.
+            self._ramp.model = getattr(controller, "_model", robot)
+        # Without any limit a torque passes as long as its square is a number.
+        per_limit = np.maximum(1.0 / bounds, 1e-150)
+        self._per_limit = np.array(np.broadcast_to(per_limit, self._shape or per_limit.shape), ndmin=1)
+
     def reset(self) -> None:
-        """Forget the chart and the last state; the next step starts a run."""
+        """Forget the chart, the last state and the last torque; the next step starts a run."""
         self.memory = None
         self._watch: Watch | None = None
+        self._taking_over = False
+        #: Whole turns by which the encoders are behind; None where there are none.
+        self._behind: JointVector | None = None
+        if self._ramp is not None:
+            self._ramp.forget()
 
     def step(self, t: float, q: VectorLike, dq: VectorLike) -> JointVector:
         """Joint torques at time t [s] in the state (q, dq) [N m or N].
@@ -66,12 +148,18 @@ class ControlLoop:
             StateError: The state or the time cannot be used; nothing is changed, the next step may go on.
             SingularError: The task is singular in the first state of a run.
         """
-        if self._watch is None or not self._watch.follows(t, q, dq):
+        seen: Any = q if self._behind is None or not isinstance(q, np.ndarray) else _sum(q, self._behind)
+        if self._watch is None or self._taking_over or not self._watch.follows(t, seen, dq):
             q, dq = self._checked(q, "q"), self._checked(dq, "dq")
-            self._look(t, q, dq)
-        tau, self.memory = self.controller.step(t, q, dq, self.memory)  # type: ignore[arg-type]
+            seen = self._look(t, q, dq)
+        tau, self.memory = self._controller.step(t, seen, dq, self.memory)  # type: ignore[arg-type]
         self.saturated = False
-        return tau if surely_within(tau, self._per_limit) else self._cut(t, tau)
+        if not surely_within(tau, self._per_limit):
+            tau = self._cut(t, tau)
+        if self._ramp is None:
+            return tau
+        tau, self.slowed = self._ramp(t, seen, tau)
+        return tau
 
     def given_up(self, t: float, q: VectorLike, dq: VectorLike) -> TaskVector | None:
         """Task acceleration that is asked for in a state and that a step there does not bring, (m,).
@@ -82,9 +170,12 @@ class ControlLoop:
         Raises:
             StateError: The state cannot be used.
         """
-        if self.memory is None or not isinstance(self.controller, TaskController):
+        if self._watch is None or not isinstance(self._controller, TaskController):
             return None
-        return self.controller.given_up(t, self._checked(q, "q"), self._checked(dq, "dq"), self.memory)
+        q, dq = self._checked(q, "q"), self._checked(dq, "dq")
+        if self._robot is not None:
+            q = self._robot.unwrap(q, self._watch.last[1])
+        return self._controller.given_up(t, q, dq, self.memory)
 
     def _cut(self, t: float, tau: JointVector) -> JointVector:
         """Torques within the limits."""
@@ -95,23 +186,35 @@ class ControlLoop:
         # Two calls that take a third of the time of np.clip.
         return np.minimum(np.maximum(tau, -self._limits), self._limits) if self.saturated else tau
 
-    def _look(self, t: float, q: JointVector, dq: JointVector) -> None:
-        """Start a run, or see whether a state that is not as usual can be used; one that is refused leaves no trace."""
+    def _look(self, t: float, q: JointVector, dq: JointVector) -> JointVector:
+        """Start a run, or see whether a state that is not as usual can be used; one that is refused leaves no trace.
+
+        Returns:
+            The joints, not wrapped.
+        """
         if self._watch is None:
             if not math.isfinite(t):
                 raise StateError(f"no torque at this time: it must be finite, got {t!r}")
-            self.memory = self.controller.start(t, q, dq)
-            self._watch = Watch(t, q, self._jump**2)
-            return
+            self.memory = self._controller.start(t, q, dq)
+            near = min(self._jump, WRAPPED) if self._robot is not None and self._robot.turns else self._jump
+            self._watch = Watch(t, q, near**2)
+            return q
         t_last, q_last = self._watch.last
         if not t_last <= t < math.inf:
             raise StateError(
                 f"no torque at this time: t = {t!r} comes after {t_last!r} s. Use a monotonic clock, or reset() "
                 "the loop to start a new run"
             )
+        gap = t - t_last
+        if self._robot is not None and self._robot.turns:
+            with np.errstate(over="ignore"):
+                ahead = q_last + gap * dq
+            wrapped, q = q, self._robot.unwrap(q, ahead if np.isfinite(ahead).all() else q_last)
+            behind = q - wrapped
+            self._behind = behind if behind.any() else None
         # If it is a jump, the next state is believed if it is near this one.
         self._watch.last = t, q
-        moved, gap = q - q_last, t - t_last
+        moved = q - q_last
         allowed = self._jump + 2.0 * np.abs(dq) * gap
         joint = int(np.argmax(np.abs(moved) - allowed))
         if abs(moved[joint]) > allowed[joint]:
@@ -119,6 +222,10 @@ class ControlLoop:
                 f"no torque for this state: q[{joint}] jumped by {moved[joint]:.3g} in {gap:.3g} s, more than "
                 f"{allowed[joint]:.3g}. If the next state agrees with this one, the loop goes on"
             )
+        if self._taking_over:
+            self.memory = self._controller.take_over(t, q, dq, self.memory)
+            self._taking_over = False
+        return q
 
     def _checked(self, values: VectorLike, name: str) -> JointVector:
         try:
@@ -126,6 +233,73 @@ class ControlLoop:
             return np.ascontiguousarray(vector(values, self._shape[0] if self._shape else None, name))
         except InputError as error:
             raise StateError(f"no torque for this state: {error}") from None
+
+
+class Ramp:
+    """Torques that begin softly and change at a limited rate.
+
+    Args:
+        soft_start: Time in which the torque goes over to the one asked for [s].
+
+    Attributes:
+        rate: Most that each torque changes in a second [N m/s or N/s]; None for any.
+        first: Torque at the start of a run, (n,); None for that which holds the robot against gravity.
+        limits: Largest torques.
+        model: Robot whose gravity counts; None without.
+    """
+
+    def __init__(self, soft_start: float) -> None:
+        self.soft_start = soft_start
+        self.rate: JointVector | None = None
+        self.first: JointVector | None = None
+        self.limits: JointVector = np.array(np.inf)
+        self.model: Robot | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin a run at the next torque."""
+        self._last: tuple[float, JointVector] | None = None
+        #: When the soft start began, and what the torque then was beyond gravity.
+        self._since, self._beyond = math.nan, np.zeros(0)
+
+    def begin_again(self) -> None:
+        """Begin softly once more at the next torque, from the last one."""
+        self._since = math.nan
+
+    def __call__(self, t: float, q: JointVector, tau: JointVector) -> tuple[JointVector, bool]:
+        """The torque instead of the one asked for, and whether the rate holds it back.
+
+        Args:
+            t: Time [s].
+            q: Joints.
+            tau: Torque that is asked for, within the limits.
+        """
+        soft = math.isnan(self._since) or t - self._since < self.soft_start
+        gravity = self.model.gravity(q) if soft and self.model is not None else np.zeros(tau.size)
+        if self._last is None:
+            first = gravity if self.first is None else self.first
+            self._last = t, np.minimum(np.maximum(first, -self.limits), self.limits)
+        t_last, last = self._last
+        if math.isnan(self._since):
+            self._since, self._beyond = t, last - gravity
+        if t - self._since < self.soft_start:
+            part = (t - self._since) / self.soft_start
+            # Smooth at both ends.
+            part *= part * (3.0 - 2.0 * part)
+            held = gravity + (1.0 - part) * self._beyond
+            tau = np.minimum(np.maximum(held + part * (tau - held), -self.limits), self.limits)
+        slowed = False
+        if self.rate is not None:
+            room = self.rate * (t - t_last)
+            asked, tau = tau, np.minimum(np.maximum(tau, last - room), last + room)
+            slowed = not np.array_equal(asked, tau)
+        self._last = t, tau.copy()
+        return tau, slowed
+
+
+def _sum(q: JointVector, more: JointVector) -> JointVector | None:
+    """Q + more; None where they do not fit each other."""
+    return q + more if q.shape == more.shape and q.dtype == more.dtype else None
 
 
 @twin

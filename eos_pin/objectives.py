@@ -9,9 +9,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
-from eos_pin.arrays import JointVector, SelfMotionVector, VectorLike, readonly, spread, vector
+from eos_pin.arrays import JointVector, SelfMotionVector, VectorLike, numbers, readonly, spread, vector
 from eos_pin.charts import Chart
 from eos_pin.errors import InputError
 from eos_pin.robot import Robot
@@ -29,9 +29,22 @@ class Objective(ABC):
         """Self-motion (v, dv, ddv) that it tracks; None if it tracks none."""
         return None
 
+    def check(self, n: int, r: int) -> None:  # noqa: B027 - most fit any
+        """Refuse a robot or a task that it does not fit.
+
+        Args:
+            n: Number of joints.
+            r: Degree of redundancy.
+
+        Raises:
+            InputError: It does not fit.
+        """
+
 
 class Track(Objective):
     """Track self-motion v_d(t) with exponentially decaying error; lower rows of Eqs. (36), (45).
+
+    `reference`, `kp` and `kd` may be assigned at any time, and count from the next step on.
 
     Args:
         reference: v_d, as a trajectory or a constant; by default 0, the value of v at the start of a run.
@@ -46,21 +59,43 @@ class Track(Objective):
         kp: float | VectorLike = 100.0,
         kd: float | VectorLike = 20.0,
     ) -> None:
-        if reference is not None and not isinstance(reference, Trajectory):
-            reference = Hold(vector(reference, None, "v_d"))
-        self.reference, self.kp, self.kd = reference, kp, kd
-        self._ready: tuple[SelfMotionVector, SelfMotionVector, Trajectory] | None = None
+        #: Another one whenever something is assigned, so that what was made of the old values is made anew.
+        self.version = object()
+        self._laws: dict[int, tuple[SelfMotionVector, SelfMotionVector, Trajectory]] = {}
+        self.reference: Trajectory | None
+        self.reference, self.kp, self.kd = reference, kp, kd  # type: ignore[assignment]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "reference" and value is not None and not isinstance(value, Trajectory):
+            value = Hold(vector(value, None, "v_d"))
+        elif name in ("kp", "kd"):
+            value = readonly(numbers(value, f"the self-motion gain {name}"))
+        if name not in ("reference", "kp", "kd"):
+            super().__setattr__(name, value)
+            return
+        before, made = getattr(self, name, None), self._laws
+        super().__setattr__(name, value)
+        super().__setattr__("_laws", {})
+        try:
+            # What does not fit where it is in use is refused here, not in the middle of a run.
+            for r in made:
+                self.law(r)
+        except InputError:
+            super().__setattr__(name, before)
+            super().__setattr__("_laws", made)
+            raise
+        super().__setattr__("version", object())
 
     def law(self, r: int) -> tuple[SelfMotionVector, SelfMotionVector, Trajectory]:
         """Gains kp and kd, (r,) each, and reference for r self-motion coordinates; checked once."""
-        if self._ready is None or self._ready[0].size != r:
+        if r not in self._laws:
             reference = self.reference or Hold([0.0] * r)  # type: ignore[arg-type]
             vector(reference(0.0).z, r, "v_d")
             kp, kd = (
                 readonly(spread(k, r, f"the self-motion gain {name}")) for k, name in ((self.kp, "kp"), (self.kd, "kd"))
             )
-            self._ready = kp, kd, reference
-        return self._ready
+            self._laws[r] = kp, kd, reference
+        return self._laws[r]
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         kp, kd, reference = self.law(chart.r)
@@ -74,6 +109,9 @@ class Track(Objective):
 
     def target(self, t: float, r: int) -> Target:
         return self.law(r)[2](t)
+
+    def check(self, n: int, r: int) -> None:
+        self.law(r)
 
 
 @dataclass(frozen=True)
@@ -90,8 +128,17 @@ class Damp(Objective):
         return -self.kd * chart.dv(dq)
 
 
+def posture_value(law: Any, name: str, value: Any) -> Any:
+    """A checked, read-only copy of what is assigned to q, kp or kd of a posture law; all else as it is."""
+    if name == "q":
+        return readonly(vector(value, law.q.size if "q" in vars(law) else None, "the posture"))
+    return readonly(spread(value, law.q.size, "a posture gain")) if name in ("kp", "kd") else value
+
+
 class Posture(Objective):
     """Draw the joints towards a posture, as far as the task allows: F_v = Vᵀ(kp (q_rest − q) − kd dq).
+
+    Continuous joints go the shorter way round, see `Robot.way`. `q`, `kp` and `kd` may be assigned at any time.
 
     Args:
         q: Posture, (n,) [rad or m].
@@ -100,13 +147,20 @@ class Posture(Objective):
     """
 
     def __init__(self, q: VectorLike, *, kp: float | VectorLike = 100.0, kd: float | VectorLike = 20.0) -> None:
-        self.q = readonly(vector(q, None, "the posture"))
-        self.kp, self.kd = (readonly(spread(k, self.q.size, "a posture gain")) for k in (kp, kd))
+        self.q: JointVector
+        self.q, self.kp, self.kd = q, kp, kd  # type: ignore[assignment]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        super().__setattr__(name, posture_value(self, name, value))
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         if self.q.size != q.size:
-            raise InputError(f"the posture has {self.q.size} joints, the robot {q.size}")
-        return chart.dv(self.kp * (self.q - q) - self.kd * dq)
+            self.check(q.size, chart.r)
+        return chart.dv(self.kp * chart.task.robot.way(q, self.q) - self.kd * dq)
+
+    def check(self, n: int, r: int) -> None:
+        if self.q.size != n:
+            raise InputError(f"the posture has {self.q.size} joints, the robot {n}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,3 +236,7 @@ class Together(Objective):
 
     def target(self, t: float, r: int) -> Target | None:
         return next((target for part in self.parts if (target := part.target(t, r)) is not None), None)
+
+    def check(self, n: int, r: int) -> None:
+        for part in self.parts:
+            part.check(n, r)

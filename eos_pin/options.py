@@ -235,6 +235,8 @@ class RunOptions:
         push: Force on the frame that does the task [N], from 1 s to 1.2 s unless said otherwise.
         push_time: When the push begins and ends [s].
         torque_limits: Clip torques at the robot's limits.
+        torque_rate: Most that a torque changes in a second [N m/s or N/s].
+        soft_start: Time in which the torque goes over from that of gravity to the controller's [s].
         model_error: Largest relative error of masses, centres of mass and inertias that the controller does not know.
         method: Integrator of a continuous run; by default LSODA, and DOP853 for tolerances below 1e-10.
         rtol: Tolerance of a continuous run.
@@ -250,6 +252,8 @@ class RunOptions:
     push: tuple[float, float, float] | None = None
     push_time: tuple[float, float] = (1.0, 1.2)
     torque_limits: bool = False
+    torque_rate: float | None = None
+    soft_start: float = 0.0
     model_error: float = 0.0
     method: Literal["DOP853", "LSODA", "RK45", "Radau", "BDF"] | None = None
     rtol: float = 1e-9
@@ -261,9 +265,11 @@ class RunOptions:
             return 1.0 / number(self.rate, "the rate", above=0.0)
         if self.plant == "mujoco":
             return 1e-3
-        if self.noise or self.delay or self.dropout or self.friction or self.push or self.torque_limits:
+        sampled = self.noise, self.delay, self.dropout, self.friction, self.push, self.torque_limits, self.soft_start
+        if any(sampled) or self.torque_rate is not None:
             raise InputError(
-                "noise, delay, dropout, friction, a push and torque limits are those of a sampled run; add --rate 1000"
+                "noise, delay, dropout, friction, a push, torque limits, a torque rate and a soft start are those of a "
+                "sampled run; add --rate 1000"
             )
         return None
 
@@ -321,6 +327,8 @@ class RunOptions:
             friction=Friction(*self.friction) if self.friction else None,
             task_force=self._task_force(robot),
             torque_limits=self.torque_limits,
+            torque_rate=self.torque_rate,
+            soft_start=self.soft_start,
             seed=seed,
             observer=observer,
         )

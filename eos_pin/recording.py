@@ -272,6 +272,7 @@ def _record(robot: Robot) -> dict[str, Any]:
         "options": dict(robot.options),
         "urdf_sha256": robot.urdf_sha256,
         "joints": [joint.name for joint in robot.joints],
+        "continuous": np.flatnonzero(robot.continuous).tolist(),
     }
 
 

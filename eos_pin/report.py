@@ -256,6 +256,9 @@ def run_table(summary: Mapping[str, Any]) -> Table:
     table.add_row(f"self-motion error, {settled}", nothing or figure(summary["self_motion_error_max"]))
     drift = ", ".join(figure(d) for d in summary["joint_drift_per_cycle"]) or "-"
     table.add_row("joint drift, cycle by cycle", drift)
+    if any(summary["joint_turns_per_cycle"]):
+        turns = ", ".join(map(str, summary["joint_turns_per_cycle"]))
+        table.add_row("whole turns of a joint, cycle by cycle", turns)
     table.add_row("chart switches", str(summary["chart_switches"]))
     if summary["given_up_seconds"]:
         table.add_row("part of the task given up", f"{figure(summary['given_up_seconds'])} s")

@@ -137,9 +137,20 @@ class Result:
 
     @property
     def joint_drift_per_cycle(self) -> Vector:
-        """Largest change of a joint from each exact multiple of the period to the next [rad or m]."""
-        q = self.q[self.cycle_rows]
-        return np.abs(np.diff(q, axis=0)).max(axis=1) if len(q) > 1 else np.zeros(0)
+        """Largest change of a joint from each exact multiple of the period to the next [rad or m].
+
+        Whole turns of a continuous joint lead to where it was, and do not count; `turns_per_cycle` has them.
+        """
+        change = np.diff(self.q[self.cycle_rows], axis=0)
+        return np.abs(change - math.tau * self.turns_per_cycle).max(axis=1, initial=0.0)
+
+    @property
+    def turns_per_cycle(self) -> Int[Array, "C n"]:
+        """Whole turns of each joint in each cycle, forward positive; 0 for joints that are not continuous."""
+        change = np.diff(self.q[self.cycle_rows], axis=0)
+        turns, continuous = np.zeros(change.shape, dtype=np.int64), self.info.get("robot", {}).get("continuous", [])
+        turns[:, continuous] = np.round(change[:, continuous] / math.tau)
+        return turns
 
     @property
     def self_motion_error(self) -> Float[Array, "T r"]:
@@ -214,6 +225,7 @@ class Result:
             "task_error_max": _largest(self.error[late]),
             "self_motion_error_max": _largest(self.self_motion_error[late]),
             "joint_drift_per_cycle": [float(d) for d in self.joint_drift_per_cycle],
+            "joint_turns_per_cycle": [int(d) for d in np.abs(self.turns_per_cycle).max(axis=1, initial=0)],
             "given_up_seconds": self.given_up_seconds,
             "singularities": self.singularities,
             "chart_switches": len(self.switches),

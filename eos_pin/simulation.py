@@ -153,6 +153,8 @@ def simulate_sampled(
     dropout: float = 0.0,
     friction: Friction | None = None,
     torque_limits: bool | VectorLike = False,
+    torque_rate: float | VectorLike | None = None,
+    soft_start: float = 0.0,
     rate: float = 100.0,
     seed: int = 0,
     task_force: TaskForce | None = None,
@@ -173,6 +175,8 @@ def simulate_sampled(
         dropout: Probability that the controller misses a period, and the torque of the last one stays.
         friction: Friction in the joints of the plant, which no controller knows.
         torque_limits: Clip the torque: True at the plant's own limits, or at limits of your own, (n,) [N m or N].
+        torque_rate: Most that a torque changes in a second, one number or (n,), see `ControlLoop` [N m/s or N/s].
+        soft_start: Time in which the torque goes over from that of gravity to the controller's [s].
         rate: Samples kept per second, besides the exact multiples of the reference's period.
         seed: Seed of the noise and the dropouts.
         task_force: Force of the environment.
@@ -201,7 +205,7 @@ def simulate_sampled(
     if not isinstance(torque_limits, bool):
         torque_limits = spread(torque_limits, plant.n, "the torque limits")
     limits = plant.effort if torque_limits is True else torque_limits
-    loop = ControlLoop(controller, torque_limits=limits, jump=math.inf)
+    loop = ControlLoop(controller, torque_limits=limits, jump=math.inf, torque_rate=torque_rate, soft_start=soft_start)
     arguments = {
         "kind": "sampled",
         "control_period": period,
@@ -213,6 +217,8 @@ def simulate_sampled(
         "dropout": float(dropout),
         "friction": None if friction is None else friction.describe(),
         "torque_limits": None if limits is False else np.broadcast_to(limits, plant.n).tolist(),
+        "torque_rate": None if torque_rate is None else np.asarray(torque_rate, dtype=float).tolist(),
+        "soft_start": float(soft_start),
         "seed": seed,
     }
     record = Recorder(system, sample_times(duration, rate, system.reference_period), arguments, observer)

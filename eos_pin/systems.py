@@ -265,6 +265,7 @@ class ExtendedSystem(System):
         return min(
             self.chart.margin(J, enough=self.atlas.threshold) - self.atlas.threshold,
             self.atlas.task.local_margin(x[: self.chart.m]),
+            self.chart.room(q),
             self.controller.margin(t, q, dq, self.memory),
         )
 

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from eos_pin.arrays import TaskVector, readonly, vector
-from eos_pin.tasks import Point
+from eos_pin.errors import InputError
+from eos_pin.tasks import Point, Task
 
 
 class Target(NamedTuple):
@@ -71,3 +72,18 @@ class Hold(Trajectory):
 
     def __call__(self, t: float) -> Target:
         return self._target  # type: ignore[attr-defined]
+
+
+def check_reference(task: Task, reference: Trajectory) -> None:
+    """Refuse a reference that does not fit the task.
+
+    Raises:
+        InputError: It does not fit.
+    """
+    target = reference(0.0)
+    try:
+        task.point(target.z)
+    except InputError as error:
+        raise InputError(f"the reference does not fit the task: {error}") from error
+    if target.dz.shape != (task.m,):
+        raise InputError(f"the reference has {target.dz.size} velocities, but {task!r} has {task.m}; a Hold takes m=")

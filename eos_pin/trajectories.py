@@ -165,8 +165,9 @@ class StackedTrajectory(Trajectory):
     @cached_property
     def _waves(self) -> Waves | None:
         """All parts in one, where one of them moves and the others are at rest; the everyday case."""
-        moving = [part for part in self.parts if not isinstance(part, Hold)]
-        if len(moving) != 1 or not isinstance(moving[0], Harmonic):
+        moving = [part for part in self.parts if type(part) is not Hold]
+        # A curve of one's own kind is called as it is.
+        if len(moving) != 1 or type(moving[0]) is not Harmonic:
             return None
         own = moving[0].waves
         one = np.eye(len(own.blocks[0]))[:, -1]

@@ -66,3 +66,16 @@ def unchecked():
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", before)
+
+
+@pytest.fixture(params=["compiled", "plain"])
+def build(request, monkeypatch):
+    """With what is compiled, and without."""
+    if request.param == "plain":
+        from eos_pin import driving, limits, loop
+        from eos_pin.compiled import ORIGINALS
+
+        for module in (driving, limits):
+            monkeypatch.setattr(module, "kernels", None)
+        for name in ("Watch", "surely_within"):
+            monkeypatch.setattr(loop, name, ORIGINALS[name])

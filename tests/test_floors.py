@@ -24,7 +24,8 @@ TABLE = """
                 _kernels/plain      scipy
                 _kernels/tracing
                 _kernels/kinematics
-    1 robot     workspace       pinocchio
+    1 robot     angles
+                workspace       pinocchio
                 postures
                 robot           pinocchio
                 notes           pinocchio
@@ -52,6 +53,7 @@ TABLE = """
                 objectives
                 avoidance
     4 control   driving         scipy
+                memories
                 controllers
                 baselines       scipy
                 limits          daqp
