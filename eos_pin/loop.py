@@ -286,7 +286,7 @@ class Ramp:
             part = (t - self._since) / self.soft_start
             # Smooth at both ends.
             part *= part * (3.0 - 2.0 * part)
-            held = gravity + (1.0 - part) * self._beyond
+            held = gravity + self._beyond
             tau = np.minimum(np.maximum(held + part * (tau - held), -self.limits), self.limits)
         slowed = False
         if self.rate is not None:
