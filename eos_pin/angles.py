@@ -1,47 +1,61 @@
-"""Angles of continuous joints, where a whole turn leads to the same place.
-
-`turn` is the angle after which each joint is where it was, (n,): 2π for continuous joints, and 0 for all others.
-"""
+"""Angles of continuous joints, where a whole turn leads to the same place."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from eos_pin.arrays import JointVector
+from eos_pin.arrays import Array, JointVector
 
 #: Part of half a turn from which on a posture draws a continuous joint less, down to nothing where it is opposite.
 OPPOSITE = 0.75
 
 
-def unwrapped(
-    q: Float[np.ndarray, "*rows n"], near: Float[np.ndarray, "*others n"], turn: JointVector
-) -> Float[np.ndarray, "*all n"]:
-    """The same configurations, continuous joints at the angle nearest to `near`.
+class Angles(ABC):
+    """A robot some of whose joints may be continuous."""
 
-    Args:
-        q: Joints, (n,) or (K, n).
-        near: Joints to be near to, (n,) or (K, n).
-        turn: Angle after which each joint is where it was.
-    """
-    return q - turn * np.round((q - near) / math.tau)
+    @property
+    @abstractmethod
+    def continuous(self) -> Bool[Array, " n"]:
+        """Which joints turn without end, so that angles a whole turn apart are the same place."""
 
+    @cached_property
+    def turns(self) -> bool:
+        """Whether any joint is continuous."""
+        return bool(self.continuous.any())
 
-def way(
-    q: Float[np.ndarray, "*rows n"], goal: Float[np.ndarray, " n"], turn: JointVector
-) -> Float[np.ndarray, "*rows n"]:
-    """Pull towards a posture: `goal` − q, for continuous joints on the side where it is nearer.
+    @cached_property
+    def _turn(self) -> JointVector:
+        """Angle after which each joint is where it was; 0 where there is none."""
+        return np.where(self.continuous, math.tau, 0.0)
 
-    From 3/4 of half a turn on the pull fades, so that it is a continuous function of q.
+    def unwrap(self, q: Float[Array, "*rows n"], near: Float[Array, "*others n"]) -> Float[Array, "*all n"]:
+        """The same configurations, continuous joints by the angle nearest to another one.
 
-    Args:
-        q: Joints, (n,) or (K, n).
-        goal: The posture.
-        turn: Angle after which each joint is where it was.
-    """
-    away = unwrapped(goal - q, np.zeros_like(goal), turn)
-    size = np.abs(away)
-    faded = np.minimum(size, (math.pi - size) * (OPPOSITE / (1.0 - OPPOSITE)))
-    return np.where(turn > 0.0, np.copysign(faded, away), away)
+        Encoders often report angles in (−π, π]; with the state before as `near` the angle goes on where it was.
+
+        Args:
+            q: Joints, (n,) or (K, n).
+            near: Joints to be near to, (n,) or (K, n).
+        """
+        return q - self._turn * np.round((q - near) / math.tau) if self.turns else q
+
+    def way(self, q: Float[Array, "*rows n"], goal: JointVector) -> Float[Array, "*rows n"]:
+        """Pull towards a posture: `goal` − q, for continuous joints the shorter way round.
+
+        From 3/4 of half a turn on the pull fades, so that it is a continuous function of q.
+
+        Args:
+            q: Joints, (n,) or (K, n).
+            goal: The posture.
+        """
+        if not self.turns:
+            return goal - q
+        away = self.unwrap(goal - q, np.zeros_like(goal))
+        size = np.abs(away)
+        faded = np.minimum(size, (math.pi - size) * (OPPOSITE / (1.0 - OPPOSITE)))
+        return np.where(self.continuous, np.copysign(faded, away), away)

@@ -316,9 +316,7 @@ class Atlas:
             message = (
                 f"no posture that was tried leads there: it is out of reach, by {found.residual[best]:.3g} or less"
             )
-        # Nobody should have to turn further than he must.
-        near = self.task.robot.unwrap(found.q[best], q)
-        return self._reached(near, "jump", None, z, message)
+        return self._reached(self.task.robot.unwrap(found.q[best], q), "jump", None, z, message)
 
     def _reached(self, q: JointVector, way: Way, path: JointPath | None, z: Point, message: str) -> Reached:
         robot = self.task.robot
@@ -360,7 +358,7 @@ class _Traveller:
             self._renew(chart)
             return False
         self.iterations += found.iterations
-        if chart.unwrap(found.q) is not found.q:
+        if not np.array_equal(chart.unwrap(found.q), found.q):
             # Further than a continuous joint may turn on one chart.
             self._renew(chart)
             return False

@@ -67,11 +67,6 @@ def control_torques(
     memories = memory if isinstance(memory, list) else [memory] * len(q)
     if len(memories) != len(q):
         raise InputError(f"there must be one memory, or one for each of the {len(q)} states; got {len(memories)}")
-    if robot is not None and robot.turns:
-        # Continuous joints may come wrapped: they are meant as near to the base of a chart as they can be.
-        charts = [getattr(memory, "chart", None) for memory in memories]
-        q = np.array([row if chart is None else chart.unwrap(row) for row, chart in zip(q, charts, strict=True)])
-        q = q.reshape(dq.shape)
     states = zip(times.tolist(), q, dq, memories, strict=True)
     return np.array([controller.torque(*state) for state in states]).reshape(q.shape)
 

@@ -100,8 +100,12 @@ class Chart:
         """The same configuration, continuous joints at the angle nearest to the base point."""
         if not self.task.robot.turns:
             return q
+        return q if self.is_near(q) else self.task.robot.unwrap(q, self.q_bar)
+
+    def is_near(self, q: JointVector) -> bool:
+        """Whether q, not unwrapped, is so near to the base point that `room` is left for certain."""
         far = q - self.q_bar
-        return q if far.dot(far) < math.pi**2 else self.task.robot.unwrap(q, self.q_bar)
+        return bool(far.dot(far) < TURN**2)
 
     def room(self, q: JointVector) -> float:
         """How much further a continuous joint may turn before the chart ends [rad]; infinite without such joints."""

@@ -8,7 +8,6 @@ driver may evaluate `torque` at trial times and states, as an ODE solver does, w
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,12 +25,6 @@ from eos_pin.objectives import Objective, Track
 from eos_pin.robot import Robot
 from eos_pin.targets import Target, Trajectory, check_reference
 from eos_pin.tasks import Task, TaskPoint
-
-#: Rate at which the acceleration that is carried over to the next chart is forgotten [1/s], and that for every radian
-#: per second of joint speed: it has to be gone before a fast robot is through with the chart.
-FORGETTING, PER_SPEED = 20.0, 10.0
-#: Time after which nothing is left of it to rounding [s].
-LONG_AGO = 40.0 / FORGETTING
 
 
 class Controller(ABC):
@@ -111,8 +104,11 @@ class TaskController(Controller):
     def __setattr__(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, self._accepted(name, value))
         if name in ("kp", "kd", "self_motion", "smooth"):
-            # What was made of the old values is made anew.
-            object.__setattr__(self, "_version", object())
+            self.renew()
+
+    def renew(self) -> None:
+        """Make anew, at the next torque, what was made of values that have been assigned since."""
+        object.__setattr__(self, "_version", object())
 
     def _accepted(self, name: str, value: Any) -> Any:
         """A value to be assigned, checked and in the form in which it is kept.
@@ -126,7 +122,7 @@ class TaskController(Controller):
             check_reference(self.task, value)
         elif name == "gravity":
             object.__setattr__(self, "_model", self.robot if value else self.robot.with_gravity(0.0))
-        elif name in ("task", "robot") and "task" in vars(self):
+        elif name in ("task", "robot") and hasattr(self, "task"):
             raise InputError(
                 f"the {name} of a controller cannot be changed. Make another controller; a running loop takes it over "
                 "by: loop.controller = …"
@@ -211,7 +207,6 @@ class EosController(TaskController):
         self.smooth = smooth
         self._rest, self._unchanged = readonly(np.zeros(task.m)), readonly(np.zeros(task.robot.n))
         self._turns = task.robot.turns
-        #: A memory that was made of values of before, and what was made of it.
         self._renewed: tuple[Any, Any] = (None, None)
         self.self_motion = self_motion or Track()
         self.atlas = atlas or Atlas(task)
@@ -219,9 +214,14 @@ class EosController(TaskController):
     def _accepted(self, name: str, value: Any) -> Any:
         if name == "atlas" and value.task is not self.task:
             raise InputError("the atlas of an EosController must be of the controller's own task object")
-        if name == "self_motion" and name in vars(self):
+        if name == "self_motion" and hasattr(self, name):
             value.check(self.robot.n, self.robot.n - self.task.m)
         return super()._accepted(name, value)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        # A copy is not yet known to its objective.
+        self.renew()
 
     def start(self, t: float, q: JointVector, dq: JointVector) -> EosMemory:
         chart = self.atlas.start(q)
@@ -256,32 +256,25 @@ class EosController(TaskController):
         # A law of one's own is used as it is.
         if type(track) is Track and type(self).task_acceleration is TaskController.task_acceleration:
             law = drive.tracking_law(self.kp, self.kd, *track.law(chart.r))
-        return {"drive": drive, "law": law, "made_of": (self._version, getattr(track, "version", None))}
+            track.users.add(self)
+        return {"drive": drive, "law": law, "made_of": self._version}
 
     def _current(self, memory: EosMemory) -> EosMemory:
         """The same memory, made anew where it was made of other gains or another target than there are now."""
-        if not self._is_old(memory):
+        if memory.made_of is self._version:
             return memory
         if memory.chart.task is not self.task:
             raise InputError(
-                "this memory is of a controller with another task object; begin with that of start(t, q, dq), or let "
-                "take_over(t, q, dq, memory) make one of it"
+                "this memory is of a controller with another task object; take_over(t, q, dq, memory) makes one of it"
             )
         before, renewed = self._renewed
-        if before is not memory or self._is_old(renewed):
+        if before is not memory or renewed.made_of is not self._version:
             renewed = replace(memory, **self._made(memory.chart))
-            # Kept, for a driver that goes on with the memory it has.
             self._renewed = memory, renewed
         return renewed
 
-    def _is_old(self, memory: EosMemory) -> bool:
-        """Whether a memory was made of other gains or another target than there are now."""
-        version, version_v = memory.made_of
-        return version is not self._version or (
-            memory.law is not None and version_v is not self.self_motion.version  # type: ignore[attr-defined]
-        )
-
     def torque(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> JointVector:
+        q = memory.chart.unwrap(q)
         ddq, _, J = self._drive(t, q, dq, self._current(memory))
         return self._within(q, dq, ddq, J)[0]
 
@@ -289,12 +282,7 @@ class EosController(TaskController):
         self, t: float, q: JointVector, dq: JointVector, memory: EosMemory
     ) -> tuple[JointVector, float, Jacobian]:
         """H F* + E, a bound of the chart's margin, and G'; near a singularity of the task what `Drive` makes of it."""
-        more = None
-        if self._turns:
-            q = memory.chart.unwrap(q)
-        if memory.carried is not None and t - memory.since < LONG_AGO:
-            rate = max(FORGETTING, PER_SPEED * math.sqrt(dq.dot(dq)))
-            more = math.exp(rate * (memory.since - t)) * memory.carried
+        more = None if memory.carried is None else memory.left(t, dq)
         if memory.law is not None:
             z_d, dz_d, ddz_d = self.reference(t)
             if not self.feedforward:
@@ -325,6 +313,7 @@ class EosController(TaskController):
 
     def observe(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> Observation:
         """The torque at a state, and what it is made of, for the record of a run."""
+        q = memory.chart.unwrap(q)
         ddq, margin, J = self._drive(t, q, dq, self._current(memory))
         tau, change = self._within(q, dq, ddq, J)
         singular = self._rest
@@ -346,6 +335,7 @@ class EosController(TaskController):
             return 1.0
 
     def update(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> EosMemory:
+        q = memory.chart.unwrap(q)
         try:
             chart = self.atlas.next(memory.chart, q)
         except SingularError:
@@ -359,11 +349,14 @@ class EosController(TaskController):
         return replace(following, since=t, carried=chart.dv(ddq) - F[chart.m :])
 
     def step(self, t: float, q: JointVector, dq: JointVector, memory: EosMemory) -> tuple[JointVector, EosMemory]:
-        memory = self._current(memory)
+        if memory.made_of is not self._version:
+            memory = self._current(memory)
+        turned = self._turns and not memory.chart.is_near(q)
+        if turned:
+            q, turned = memory.chart.unwrap(q), memory.chart.room(q) <= 0.0
         ddq, margin, J = self._drive(t, q, dq, memory)
         # The bound that comes with the acceleration saves the chart's exact margin nearly always.
-        worn = margin <= self.atlas.threshold and not self._holds(memory.chart, J)
-        if worn or (self._turns and memory.chart.room(q) <= 0.0):
+        if turned or (margin <= self.atlas.threshold and not self._holds(memory.chart, J)):
             memory = self.update(t, q, dq, memory)
             ddq, _, J = self._drive(t, q, dq, memory)
         return self._within(q, dq, ddq, J)[0], memory

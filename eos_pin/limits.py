@@ -225,11 +225,11 @@ class LimitedEosController(EosController):
 
     def __setattr__(self, name: str, value: Any) -> None:
         super().__setattr__(name, number(value, "the control period", above=0.0) if name == "period" else value)
-        if name in ("limits", "period") and "period" in vars(self):
+        if name in ("limits", "period") and hasattr(self, "period"):
             self._viability = _Viability(self.limits, self.period)
         if name in ("limits", "period", "gravity"):
             # It holds copies.
-            vars(self).pop("_compiled", None)
+            self.__dict__.pop("_compiled", None)
 
     def describe(self) -> dict[str, Any]:
         kept = {name: getattr(self.limits, name).tolist() for name in ("velocity", "braking", "torque")}

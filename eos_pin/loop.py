@@ -64,6 +64,8 @@ class ControlLoop:
         first_torque: VectorLike | None = None,
     ) -> None:
         self.memory: Any = None
+        self._watch: Watch | None
+        self._before: Watch | None
         self.saturated = self.slowed = False
         self._jump = math.inf if jump == math.inf else number(jump, "the largest jump", above=0.0)
         self._given = torque_limits, torque_rate, first_torque
@@ -89,12 +91,13 @@ class ControlLoop:
     @controller.setter
     def controller(self, controller: Controller) -> None:
         robot = getattr(controller, "robot", None)
-        if self._watch is not None and (self._robot is None or robot is None or self._robot.n == robot.n):
-            t, q = self._watch.last
+        watch = self._watch or self._before
+        if watch is not None and (self._robot is None or robot is None or self._robot.n == robot.n):
+            t, q = watch.last
             # Refused now, not in the middle of the run.
             controller.take_over(t, q, np.zeros(q.size), self.memory)
             self._fit(controller)
-            self._taking_over = True
+            self._watch, self._before = None, watch
             if self._ramp is not None:
                 self._ramp.begin_again()
         else:
@@ -134,8 +137,9 @@ class ControlLoop:
     def reset(self) -> None:
         """Forget the chart, the last state and the last torque; the next step starts a run."""
         self.memory = None
-        self._watch: Watch | None = None
-        self._taking_over = False
+        self._watch = None
+        #: The watch until now, where another controller takes over at the next step.
+        self._before = None
         #: Whole turns by which the encoders are behind; None where there are none.
         self._behind: JointVector | None = None
         if self._ramp is not None:
@@ -148,16 +152,15 @@ class ControlLoop:
             StateError: The state or the time cannot be used; nothing is changed, the next step may go on.
             SingularError: The task is singular in the first state of a run.
         """
-        seen: Any = q if self._behind is None or not isinstance(q, np.ndarray) else _sum(q, self._behind)
-        if self._watch is None or self._taking_over or not self._watch.follows(t, seen, dq):
+        seen: Any = q if self._behind is None else _sum(q, self._behind)
+        if self._watch is None or not self._watch.follows(t, seen, dq):
             q, dq = self._checked(q, "q"), self._checked(dq, "dq")
             seen = self._look(t, q, dq)
         tau, self.memory = self._controller.step(t, seen, dq, self.memory)  # type: ignore[arg-type]
         self.saturated = False
-        if not surely_within(tau, self._per_limit):
-            tau = self._cut(t, tau)
         if self._ramp is None:
-            return tau
+            return tau if surely_within(tau, self._per_limit) else self._cut(t, tau)
+        tau = self._cut(t, tau)
         tau, self.slowed = self._ramp(t, seen, tau)
         return tau
 
@@ -192,14 +195,15 @@ class ControlLoop:
         Returns:
             The joints, not wrapped.
         """
-        if self._watch is None:
+        watch = self._watch or self._before
+        if watch is None:
             if not math.isfinite(t):
                 raise StateError(f"no torque at this time: it must be finite, got {t!r}")
             self.memory = self._controller.start(t, q, dq)
             near = min(self._jump, WRAPPED) if self._robot is not None and self._robot.turns else self._jump
             self._watch = Watch(t, q, near**2)
             return q
-        t_last, q_last = self._watch.last
+        t_last, q_last = watch.last
         if not t_last <= t < math.inf:
             raise StateError(
                 f"no torque at this time: t = {t!r} comes after {t_last!r} s. Use a monotonic clock, or reset() "
@@ -213,7 +217,7 @@ class ControlLoop:
             behind = q - wrapped
             self._behind = behind if behind.any() else None
         # If it is a jump, the next state is believed if it is near this one.
-        self._watch.last = t, q
+        watch.last = t, q
         moved = q - q_last
         allowed = self._jump + 2.0 * np.abs(dq) * gap
         joint = int(np.argmax(np.abs(moved) - allowed))
@@ -222,9 +226,9 @@ class ControlLoop:
                 f"no torque for this state: q[{joint}] jumped by {moved[joint]:.3g} in {gap:.3g} s, more than "
                 f"{allowed[joint]:.3g}. If the next state agrees with this one, the loop goes on"
             )
-        if self._taking_over:
+        if self._watch is None:
             self.memory = self._controller.take_over(t, q, dq, self.memory)
-            self._taking_over = False
+            self._watch, self._before = watch, None
         return q
 
     def _checked(self, values: VectorLike, name: str) -> JointVector:
@@ -297,9 +301,9 @@ class Ramp:
         return tau, slowed
 
 
-def _sum(q: JointVector, more: JointVector) -> JointVector | None:
+def _sum(q: Any, more: JointVector) -> JointVector | None:
     """Q + more; None where they do not fit each other."""
-    return q + more if q.shape == more.shape and q.dtype == more.dtype else None
+    return q + more if isinstance(q, np.ndarray) and q.shape == more.shape and q.dtype == more.dtype else None
 
 
 @twin

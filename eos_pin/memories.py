@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -9,6 +10,12 @@ from eos_pin.arrays import JointVector, SelfMotionVector, TaskVector
 from eos_pin.charts import Chart
 from eos_pin.driving import Drive
 from eos_pin.tasks import Point
+
+#: Rate at which the acceleration that is carried over to the next chart is forgotten [1/s], and that for every radian
+#: per second of joint speed: it has to be gone before a fast robot is through with the chart.
+FORGETTING, PER_SPEED = 20.0, 10.0
+#: Time after which nothing is left of it to rounding [s].
+LONG_AGO = 40.0 / FORGETTING
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +28,7 @@ class EosMemory:
         law: The law and `drive` in one, compiled, where there is that.
         since: Time from which the chart is used [s].
         carried: What the self-motion acceleration lacked then to that on the chart before, (r,); None on the first.
-        made_of: The versions of the controller and of its `Track` that `drive` and `law` were made of.
+        made_of: Stands for the gains and targets that `drive` and `law` were made of.
     """
 
     drive: Drive
@@ -29,12 +36,19 @@ class EosMemory:
     law: Any = None
     since: float = 0.0
     carried: SelfMotionVector | None = None
-    made_of: tuple[Any, Any] = (None, None)
+    made_of: object = None
 
     @property
     def chart(self) -> Chart:
         """The chart it is on."""
         return self.drive.chart
+
+    def left(self, t: float, dq: JointVector) -> SelfMotionVector | None:
+        """Acceleration that is still carried at time t, with joints at these velocities, (r,); None if nothing is."""
+        if self.carried is None or t - self.since >= LONG_AGO:
+            return None
+        rate = max(FORGETTING, PER_SPEED * math.sqrt(dq.dot(dq)))
+        return math.exp(rate * (self.since - t)) * self.carried
 
 
 class Observation(NamedTuple):

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
+from weakref import WeakSet
 
 from eos_pin.arrays import JointVector, SelfMotionVector, VectorLike, numbers, readonly, spread, vector
 from eos_pin.charts import Chart
@@ -59,8 +60,8 @@ class Track(Objective):
         kp: float | VectorLike = 100.0,
         kd: float | VectorLike = 20.0,
     ) -> None:
-        #: Another one whenever something is assigned, so that what was made of the old values is made anew.
-        self.version = object()
+        #: Controllers that are told when something is assigned, and make anew what they made of the old values.
+        self.users: WeakSet[Any] = WeakSet()
         self._laws: dict[int, tuple[SelfMotionVector, SelfMotionVector, Trajectory]] = {}
         self.reference: Trajectory | None
         self.reference, self.kp, self.kd = reference, kp, kd  # type: ignore[assignment]
@@ -84,7 +85,14 @@ class Track(Objective):
             super().__setattr__(name, before)
             super().__setattr__("_laws", made)
             raise
-        super().__setattr__("version", object())
+        for user in self.users:
+            user.renew()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "users": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, users=WeakSet())
 
     def law(self, r: int) -> tuple[SelfMotionVector, SelfMotionVector, Trajectory]:
         """Gains kp and kd, (r,) each, and reference for r self-motion coordinates; checked once."""

@@ -6,7 +6,6 @@ calls joint velocity `v`; here `v` is the paper's self-motion coordinate, so Pin
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Bool, Float
 
-from eos_pin.angles import unwrapped, way
+from eos_pin.angles import Angles
 from eos_pin.arrays import Array, JointVector, VectorLike, number, readonly, vector
 from eos_pin.errors import RobotError, UnknownNameError
 from eos_pin.postures import JointsLike, in_order
@@ -63,7 +62,7 @@ class HasShapes(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Robot:
+class Robot(Angles):
     """A serial robot: n one-degree-of-freedom joints, its inertia, and its shape.
 
     A robot without inertia has all of kinematics; its dynamics are refused where they are first used.
@@ -159,27 +158,8 @@ class Robot:
     def continuous(self) -> Bool[Array, " n"]:
         """Which joints turn without end, so that angles a whole turn apart are the same place."""
         # A screw without limits moves on with each turn.
-        turns = [model.shortname().startswith("JointModelR") for model in list(self.model.joints)[1:]]
-        mask = readonly(np.array(turns), bool)
-        return readonly(mask & np.isinf(self.lower) & np.isinf(self.upper), bool)
-
-    @cached_property
-    def turns(self) -> bool:
-        """Whether any joint is continuous."""
-        return bool(self.continuous.any())
-
-    @cached_property
-    def _turn(self) -> JointVector:
-        """Angle after which each joint is where it was; 0 where there is none."""
-        return np.where(self.continuous, math.tau, 0.0)
-
-    def unwrap(self, q: Float[Array, "*rows n"], near: Float[Array, "*others n"]) -> Float[Array, "*all n"]:
-        """The same configurations, continuous joints by the angle nearest to `near`; encoders often give it wrapped."""
-        return unwrapped(q, near, self._turn) if self.turns else q
-
-    def way(self, q: Float[Array, "*rows n"], goal: JointVector) -> Float[Array, "*rows n"]:
-        """Pull towards a posture: `goal` − q, for continuous joints the shorter way round, see `eos_pin.angles.way`."""
-        return way(q, goal, self._turn) if self.turns else goal - q
+        turning = [joint.shortname().startswith("JointModelR") for joint in list(self.model.joints)[1:]]
+        return readonly(np.array(turning) & np.isinf(self.lower) & np.isinf(self.upper), bool)
 
     @cached_property
     def lower(self) -> JointVector:

@@ -65,10 +65,11 @@ class Harmonic(Trajectory):
         return self.waves.at(t)
 
 
+@dataclass(frozen=True, eq=False)
 class Waves:
     """Targets that are linear in sin ωt, cos ωt, sin 2ωt and so on, and 1: one product for z, dz and ddz together.
 
-    Args:
+    Attributes:
         phase: Time by which the start is ahead [s].
         frequencies: ω, 2ω and so on [rad/s].
         z: Coefficients of z, a row for each of sin ωt, cos ωt, sin 2ωt and so on, and for 1.
@@ -76,18 +77,41 @@ class Waves:
         ddz: Those of ddz.
     """
 
-    def __init__(self, phase: float, frequencies: VectorLike, z: Array, dz: Array, ddz: Array) -> None:
-        self.phase, self.frequencies, self.blocks = phase, np.array(frequencies, dtype=float), (z, dz, ddz)
-        self._rows = np.hstack(self.blocks)
-        self._cuts = z.shape[1], z.shape[1] + dz.shape[1]
+    phase: float
+    frequencies: VectorLike
+    z: Array
+    dz: Array
+    ddz: Array
 
-        self.at: Callable[[float], Target] = self.readable
-        if kernels:
-            self.at = kernels.Curve(phase, self.frequencies, self._rows, *self._cuts, Target)
+    def __post_init__(self) -> None:
+        # Read-only, because what is compiled has copies.
+        for name in ("frequencies", "z", "dz", "ddz"):
+            object.__setattr__(self, name, readonly(getattr(self, name)))
+
+    @property
+    def blocks(self) -> tuple[Array, Array, Array]:
+        """Coefficients of z, dz and ddz."""
+        return self.z, self.dz, self.ddz
+
+    @cached_property
+    def _rows(self) -> Array:
+        return np.hstack(self.blocks)
+
+    @cached_property
+    def _cuts(self) -> tuple[int, int]:
+        return self.z.shape[1], self.z.shape[1] + self.dz.shape[1]
+
+    @cached_property
+    def at(self) -> Callable[[float], Target]:
+        """The target at a time."""
+        if not kernels:
+            return self.readable
+        curve: Callable[[float], Target] = kernels.Curve(self.phase, self.frequencies, self._rows, *self._cuts, Target)
+        return curve
 
     def readable(self, t: float) -> Target:
         """Target at time t; what is compiled does the same."""
-        angles = (self.frequencies * (t + self.phase)).tolist()
+        angles = (np.asarray(self.frequencies) * (t + self.phase)).tolist()
         together = np.dot([wave for angle in angles for wave in (math.sin(angle), math.cos(angle))] + [1.0], self._rows)
         return Target(*np.split(together, self._cuts))
 

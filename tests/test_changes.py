@@ -37,6 +37,7 @@ from eos_pin import (
     circle,
     simulate_sampled,
 )
+from eos_pin.options import RunOptions
 
 REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 STATE = REST + 0.02, np.array([0.1, -0.2, 0.05, 0.1, 0.0, -0.1, 0.2])
@@ -372,3 +373,23 @@ def test_sampled_run_limits_the_rate_of_torque(panda: Robot, task: PositionTask)
     np.testing.assert_allclose(run.tau[0], panda.gravity(REST), atol=1e-9)
     assert run.info["arguments"]["torque_rate"] == 300.0
     assert run.info["arguments"]["soft_start"] == 0.1
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_options_limit_the_rate_of_torque(panda: Robot, task: PositionTask) -> None:
+    with pytest.raises(InputError, match="--rate 1000"):
+        _ = RunOptions(torque_rate=100.0).period
+    options = RunOptions(rate=500.0, torque_rate=200.0, soft_start=0.05)
+    run = options.run(panda, EosController(task, Hold(task.value(REST) + AHEAD)), REST, 0.1)
+    # Samples are taken every 10 ms.
+    assert np.abs(np.diff(run.tau, axis=0)).max() <= 2.0 + 1e-9
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_curves_are_values(task: PositionTask) -> None:
+    path = circle([0.0, 0.0], 0.1, period=4.0)
+    for change in (lambda: setattr(path.waves, "phase", 1.0), lambda: setattr(path, "period", 1.0)):
+        with pytest.raises(AttributeError, match="cannot assign"):
+            change()
+    with pytest.raises(ValueError, match="read-only"):
+        path.waves.frequencies[0] = 3.0
