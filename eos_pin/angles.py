@@ -3,25 +3,36 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eos_pin.arrays import Array, JointVector
+from eos_pin.arrays import Array, JointVector, readonly
 
 #: Part of half a turn from which on a posture draws a continuous joint less, down to nothing where it is opposite.
 OPPOSITE = 0.75
+#: Pinocchio marks an absent limit by the largest float.
+UNLIMITED = 1e30
 
 
-class Angles(ABC):
-    """A robot some of whose joints may be continuous."""
+class Angles:
+    """A robot some of whose joints may be continuous.
 
-    @property
-    @abstractmethod
+    Attributes:
+        model: Its Pinocchio model.
+    """
+
+    model: Any
+
+    @cached_property
     def continuous(self) -> Bool[Array, " n"]:
         """Which joints turn without end, so that angles a whole turn apart are the same place."""
+        # A screw without limits moves on with each turn.
+        turning = [joint.shortname().startswith("JointModelR") for joint in list(self.model.joints)[1:]]
+        ends = np.abs((self.model.lowerPositionLimit, self.model.upperPositionLimit)).min(axis=0)
+        return readonly(np.array(turning) & (ends >= UNLIMITED), bool)
 
     @cached_property
     def turns(self) -> bool:

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from eos_pin.angles import Angles
 from eos_pin.arrays import Array, JointVector, VectorLike, number, readonly, vector
@@ -153,13 +153,6 @@ class Robot(Angles):
         if self.model.joints[i + 1].shortname().startswith("JointModelP"):
             return "prismatic"
         return "revolute" if np.isfinite(self.lower[i]) or np.isfinite(self.upper[i]) else "continuous"
-
-    @cached_property
-    def continuous(self) -> Bool[Array, " n"]:
-        """Which joints turn without end, so that angles a whole turn apart are the same place."""
-        # A screw without limits moves on with each turn.
-        turning = [joint.shortname().startswith("JointModelR") for joint in list(self.model.joints)[1:]]
-        return readonly(np.array(turning) & np.isinf(self.lower) & np.isinf(self.upper), bool)
 
     @cached_property
     def lower(self) -> JointVector:

@@ -86,7 +86,7 @@ class Waves:
     def __post_init__(self) -> None:
         # Read-only, because what is compiled has copies.
         for name in ("frequencies", "z", "dz", "ddz"):
-            object.__setattr__(self, name, readonly(getattr(self, name)))
+            object.__setattr__(self, name, readonly(np.asarray(getattr(self, name))))
 
     @property
     def blocks(self) -> tuple[Array, Array, Array]:
