@@ -216,9 +216,10 @@ def sweep(
     pool = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
     todo = [joblib.delayed(_attempt)(trial) for key, trial in wanted.items() if key not in found]
     try:
-        with _unhearing_children():
-            finished = pool(todo)
+        finished = None
         try:
+            with _unhearing_children():
+                finished = pool(todo)
             for key, figures in finished:
                 found[key] = figures
                 if key in files and figures["status"] != "failed":
@@ -228,7 +229,8 @@ def sweep(
             # Ends the processes at once; that runs are lost then is no news.
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                finished.close()
+                if finished is not None:
+                    finished.close()
     except BrokenExecutor as error:
         where = f", and kept in {folder}" if files else ""
         raise EosError(
