@@ -46,6 +46,10 @@ TABLE = """
                 newton          scipy
                 charts          scipy
                 atlas
+                planning/components
+                planning/arcs
+                planning/covering   scipy
+                planning/manifold
     3 motion    dynamics        scipy
                 targets
                 trajectories

@@ -203,3 +203,30 @@ def trace(Chain chain, const double[::1] start, const double[::1] z, const unsig
             count += 1
             h = taken * min(2.0, 0.7 * turn / angle if angle > 0.35 * turn else 2.0)
     return Q[:count].copy(), T[:count].copy(), status
+
+
+def nearest(const double[:, ::1] Q, const double[:, ::1] nodes, const unsigned char[::1] revolute):
+    """Number of the node nearest to each state, (K,), and the difference from it, (K, n), whole turns left aside."""
+    numbers, differences = np.zeros(Q.shape[0], dtype=np.int64), np.empty((Q.shape[0], Q.shape[1]))
+    cdef long long[::1] number = numbers
+    cdef double[:, ::1] gap = differences
+    cdef double x, square, best
+    cdef Py_ssize_t k, i, j, n = Q.shape[1]
+    with nogil:
+        for k in range(Q.shape[0]):
+            best = 1e300
+            for i in range(nodes.shape[0]):
+                square = 0.0
+                for j in range(n):
+                    x = Q[k, j] - nodes[i, j]
+                    if revolute[j]:
+                        x -= TAU * round(x / TAU)
+                    square += x * x
+                    if square >= best:
+                        break
+                if square < best:
+                    best, number[k] = square, i
+            for j in range(n):
+                x = Q[k, j] - nodes[number[k], j]
+                gap[k, j] = x - TAU * round(x / TAU) if revolute[j] else x
+    return numbers, differences

@@ -91,6 +91,11 @@ class Kinematics:
         flat = flat_model(self.task.robot.model)
         return np.ones(self.n, dtype=bool) if flat is None else flat.prismatic == 0
 
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return tuple(joint.name for joint in self.task.robot.joints)
+
     def value(self, Q: Array) -> Float[Array, "K size"]:
         """Task points of states, (K, n)."""
         return self._chain.value(self._states(Q))
@@ -211,6 +216,10 @@ class Kinematics:
         self._one_redundant()
         return self._tracing.tangents(self._chain, self._states(Q), self._one(z))
 
+    def nearest(self, Q: Array, nodes: Array) -> tuple[Int[Array, " K"], Float[Array, "K n"]]:
+        """Number of the node nearest to each state, and the difference from it, whole turns left aside."""
+        return self._tracing.nearest(self._states(Q), self._states(nodes), self._revolute)
+
     def links(self, Q: Array, frames: Sequence[int]) -> Float[Array, "K L 12"]:
         """Flat poses of frames, by their numbers in the Pinocchio model: position, then rotation row by row."""
         Q = self._states(Q)
@@ -230,10 +239,14 @@ class Kinematics:
         self, q: JointVector, z: Array, direction: float, step: float, turn: float, length: float, tol: float
     ) -> tuple[Float[Array, "K n"], Float[Array, "K n"], int]:
         self._one_redundant()
-        revolute = self.revolute.astype(np.uint8) if self.compiled else self.revolute
         return self._tracing.trace(
-            self._chain, q, z, revolute, direction, step, turn, length, SHORTEST, tol, MOST_NODES
+            self._chain, q, z, self._revolute, direction, step, turn, length, SHORTEST, tol, MOST_NODES
         )
+
+    @cached_property
+    def _revolute(self) -> Array:
+        """Which joints turn, as the kernels take it."""
+        return self.revolute.astype(np.uint8) if self.compiled else self.revolute
 
     @property
     def _tracing(self) -> Any:

@@ -117,6 +117,19 @@ def trace(
     return np.array(Q), np.array(T), LONG
 
 
+def nearest(
+    Q: Float[Array, "K n"], nodes: Float[Array, "L n"], revolute: Array
+) -> tuple[Int[Array, " K"], Float[Array, "K n"]]:
+    """Number of the node nearest to each state, and the difference from it, whole turns left aside."""
+    number, gap = np.empty(len(Q), dtype=np.int64), np.empty(Q.shape)
+    for k, q in enumerate(Q):
+        difference = q - nodes
+        difference = np.where(revolute, difference - math.tau * np.round(difference / math.tau), difference)
+        number[k] = np.einsum("in,in->i", difference, difference).argmin()
+        gap[k] = difference[number[k]]
+    return number, gap
+
+
 def _look(chain: PlainChain, q: JointVector, z: Vector) -> tuple[float, JointVector, JointVector, float]:
     """Task error, the shortest step that removes it, the unit vector of the self-motion, and how regular q is."""
     z_q, J = chain.task.linearize(q)

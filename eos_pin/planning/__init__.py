@@ -1,1 +1,1 @@
-"""Planning of the self-motion."""
+"""Planning of the self-motion: `manifold.self_motion_manifold`, `manifold.SelfMotionManifold`."""
