@@ -317,8 +317,8 @@ def test_the_command_sweeps_and_goes_on(tmp_path, monkeypatch, capsys):
 
 def test_the_command_ends_with_1_where_a_run_fails(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    Path("far.csv").write_text("0,0.45,0,0.7\n2,3,0,0.6\n")
-    assert main(["sweep", "panda", "--path", "far.csv", "--jobs", "1", "--rate", "200"]) == 1
+    words = ["--path", "circle", "--size", "1.5", "--cycles", "1"]
+    assert main(["sweep", "panda", *words, "--jobs", "1", "--rate", "200"]) == 1
     assert "1 run: " in capsys.readouterr().out
     assert Path("runs/sweep/runs.csv").exists()
 
