@@ -52,7 +52,8 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
     machine = robot.load()
     found = _find_out(machine, task)
     goal, q = found.task, found.q
-    title = f"{machine.name}: {machine.n} joints to {machine.options['chain_to']} ({machine.source})"
+    source = "URDF text" if machine.source.lstrip().startswith("<") else machine.source
+    title = f"{machine.name}: {machine.n} joints to {machine.options['chain_to']} ({source})"
     columns = ("joint", "kind", "lower", "upper", "velocity", "effort", "start")
     rows = [
         (joint.name, joint.kind, joint.lower, joint.upper, joint.velocity, joint.effort, f"{value:.3f}")
