@@ -1,4 +1,4 @@
-"""Random Panda runs through and near singularities and joint limits, under `LimitedEosController`.
+"""Random runs through and near singularities and joint limits, under `LimitedEosController`.
 
     python benchmarks/limits.py [--count N] [--json FILE]
 
@@ -7,6 +7,12 @@ out of reach. Counted are torques that are not finite or beyond their limits, jo
 were given up in part, for how long and why, and how many were not resumed although the target came back to where it
 was at the start. A few runs are repeated at shorter control periods: where the torque is
 continuous, the most it changes from one period to the next shrinks with the period.
+
+As many runs are made with a payload of up to three times what the arm is rated for, and with joints too weak for
+gravity somewhere. There limits are passed, but only by joints that are lost: wherever a joint leaves its bounds of
+acceleration, a linear program looks for torques within limits that keep it and all joints that are not lost within
+theirs, while those that are lost brake with all they have. Where there are any, the joint could keep its limits, and
+counts if it passes them.
 """
 
 from __future__ import annotations
@@ -16,19 +22,24 @@ import os
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 from joblib import Parallel, delayed
 from rich.progress import track
+from scipy.optimize import linprog
 
 from eos_pin import (
     EosError,
     Geodesic,
+    JointLimits,
     LimitedEosController,
     PoseTask,
     PositionTask,
     Result,
+    Robot,
     load_robot,
     simulate_sampled,
 )
@@ -42,6 +53,12 @@ OVER = 1e-6
 BACK, DURATION, OFF = 1.5, 3.0, 1e-2
 #: Control periods of runs that are repeated [s].
 PERIODS = (1e-3, 5e-4, 2.5e-4)
+#: Control period of runs with payloads and weak joints, whose multiples are exact [s].
+EXACT = 2.0**-10
+#: Robots that get payloads and weak joints, and what they are rated for [kg].
+RATED = {"panda": 3.0, "ur5": 5.0}
+#: A joint passes its limits beyond this, of position [rad] and of velocity, relative.
+POSITION, VELOCITY = 1e-5, 1e-3
 
 
 def example(seed: int, period: float = 1e-3, *, rate: float = 200.0) -> Result:
@@ -82,6 +99,110 @@ def one(seed: int) -> dict[str, float | str]:
     }
 
 
+def loaded(seed: int) -> tuple[Robot, str, np.random.Generator]:
+    """Robot with a payload and weak joints, its frame, and where its random numbers go on."""
+    random = np.random.default_rng((1, seed))
+    name = list(RATED)[seed % len(RATED)]
+    robot = load_robot(name, chain_to="auto")
+    frame = str(robot.options["chain_to"])
+    model = robot.model.copy()
+    placed = model.frames[robot.frame_id(frame)].placement
+    ball = pin.Inertia.FromSphere(RATED[name] * random.uniform(0.0, 3.0), 0.05)
+    model.inertias[model.njoints - 1] += placed.act(ball)
+    robot = replace(robot, model=model, source="", urdf_sha256="")
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    gravity = np.abs([robot.gravity(random.uniform(lower, upper)) for _ in range(200)]).max(axis=0)
+    weak = random.random(robot.n) < random.choice([0.0, 0.2, 0.5])
+    effort = np.where(weak, np.maximum(random.uniform(0.2, 1.2, robot.n) * gravity, 1.0), robot.effort)
+    model.effortLimit = np.minimum(effort, robot.effort)
+    return replace(robot, model=model), frame, random
+
+
+def weak_run(seed: int) -> tuple[Result, JointLimits, Robot]:
+    """Run of a robot with a payload and weak joints, every control period of it."""
+    robot, frame, random = loaded(seed)
+    task = PositionTask(robot, frame)
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    q = lower + (upper - lower) * (0.02 + 0.96 * random.beta(0.8, 0.8, robot.n))
+    z = task.value(q)
+    step = random.normal(size=3)
+    step *= random.uniform(0.0, 0.7) / np.linalg.norm(step)
+    path = Geodesic(task, np.array([z, z + step, z]), np.array([0.0, 0.5 * BACK, BACK]))
+    controller = LimitedEosController(task, path, period=EXACT)
+    run = simulate_sampled(robot, controller, q, duration=2.0, period=EXACT, rate=1.0 / EXACT)
+    return run, controller.limits, robot
+
+
+def could_be_kept(robot: Robot, limits: JointLimits, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray, j: int) -> bool:
+    """Whether torques keep joint j and all that are not lost within their bounds while the others brake.
+
+    Args:
+        robot: The robot.
+        limits: Its limits.
+        q: Joints.
+        dq: Joint velocities.
+        ddq: Accelerations; joints that do not keep their bounds are lost.
+        j: The joint.
+    """
+    least, most = limits.accelerations(q, dq, EXACT)
+    off = 1e-3 * (1.0 + np.abs(ddq))
+    low, high = ddq < least - off, ddq > most + off
+    low[j] = high[j] = False
+    torques = np.column_stack((np.where(low, limits.torque, -limits.torque), limits.torque))
+    torques[high, 1] = -limits.torque[high]
+    kept = ~(low | high)
+    # A period's mean acceleration is bounded, and the torque is held: a hair is left for what lies between.
+    room = np.where(np.arange(robot.n) == j, np.minimum(0.1, 0.25 * (most - least)), 0.0)
+    inverse, bias = np.linalg.inv(robot.mass(q)), robot.bias(q, dq)
+    rest = inverse @ bias
+    A = np.vstack((inverse[kept], -inverse[kept]))
+    b = np.concatenate(((most - room + rest)[kept], (-least - room - rest)[kept]))
+    return linprog(np.zeros(robot.n), A_ub=A, b_ub=b, bounds=torques).status == 0
+
+
+def passed(result: Result, limits: JointLimits, robot: Robot) -> list[tuple[int, bool]]:
+    """Joints that pass their limits, each time they do, and whether they could have kept them."""
+    found = []
+    # A sample is taken at the end of a period, with the torque held until then.
+    q, dq = result.q[:-1], result.dq[:-1]
+    ddq = np.array([robot.forward_dynamics(*row) for row in zip(q, dq, result.tau[1:], strict=True)])
+    bounds = [limits.accelerations(*row, EXACT) for row in zip(q, dq, strict=True)]
+    least, most = (np.array(side) for side in zip(*bounds, strict=True))
+    left = (ddq < least - 1e-3 * (1.0 + np.abs(ddq))) | (ddq > most + 1e-3 * (1.0 + np.abs(ddq)))
+    out = (q < limits.lower - POSITION) | (q > limits.upper + POSITION)
+    out |= np.abs(dq) > limits.velocity * (1.0 + VELOCITY)
+    # A joint that moves towards a limit faster than it may is on its way out.
+    way = np.where(dq > 0.0, limits.upper - q, q - limits.lower)
+    b, rate = limits.braking, 100.0
+    with np.errstate(invalid="ignore"):
+        fast = np.abs(dq) > np.sqrt(2.0 * b * np.maximum(way, 0.0) + (b / rate) ** 2) - b / rate + 1e-4
+    for j in range(robot.n):
+        begins = np.flatnonzero(np.diff(np.concatenate(([False], out[:, j]))).astype(bool) & out[:, j])
+        for k in begins:
+            first = k
+            while first > 0 and (left[first - 1, j] or fast[first - 1, j]):
+                first -= 1
+            rows = range(first, k + 1)
+            found.append((j, all(could_be_kept(robot, limits, q[i], dq[i], ddq[i], j) for i in rows)))
+    return found
+
+
+def weak_one(seed: int) -> dict[str, float | str]:
+    """What the run with a payload and weak joints did about its limits."""
+    try:
+        run, limits, robot = weak_run(seed)
+    except EosError as error:
+        return {"status": f"refused: {type(error).__name__}", "torque": 0.0, "passed": 0, "wrong": 0, "speed": 0.0}
+    found = passed(run, limits, robot)
+    return {
+        "status": run.status,
+        "torque": float((np.abs(run.tau) / limits.torque).max()) if np.isfinite(run.tau).all() else np.inf,
+        "passed": len({j for j, _ in found}),
+        "wrong": len({j for j, kept in found if kept}),
+        "speed": float((np.abs(run.dq) / limits.velocity).max()),
+    }
+
+
 def largest_step(seed: int, period: float) -> float:
     """The most a torque changes from one period to the next, but where a chart is left [N m]."""
     found = example(seed, period, rate=1.0 / period)
@@ -116,6 +237,14 @@ def main(*, count: int = 1000, repeated: int = 10, json: Path | None = None, job
         f"tasks more than {OFF:g} off {DURATION - BACK:g} s after the target is back": int((off > OFF).sum()),
         "farthest off then, m or rad": float(off.max()),
     }
+    weak = list(track(parallel(delayed(weak_one)(seed) for seed in range(count)), total=count, console=stderr))
+    figures |= {
+        "with payloads and weak joints: runs": count,
+        "torques not finite or beyond a limit then": sum(float(row["torque"]) > 1.0 + 1e-12 for row in weak),
+        "joints that passed their limits": sum(int(row["passed"]) for row in weak),
+        "of these, that could keep them": sum(int(row["wrong"]) for row in weak),
+        "runs with any of these": sum(bool(row["wrong"]) for row in weak),
+    }
     for status in sorted({str(row["status"]) for row in found}):
         figures[f"ended {status!r}"] = sum(row["status"] == status for row in found)
     for period in PERIODS:
@@ -124,7 +253,8 @@ def main(*, count: int = 1000, repeated: int = 10, json: Path | None = None, job
     console.print(grid("Panda at its limits", ("what", "figure"), list(figures.items())))
     if json is not None:
         write_json(json, figures)
-    return 1 if (torque > 1.0 + 1e-12).any() or (over > OVER).any() else 0
+    wrong = (torque > 1.0 + 1e-12).any() or (over > OVER).any() or any(row["wrong"] for row in weak)
+    return 1 if wrong or any(float(row["torque"]) > 1.0 + 1e-12 for row in weak) else 0
 
 
 if __name__ == "__main__":

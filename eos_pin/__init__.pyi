@@ -57,6 +57,7 @@ from .objectives import Track as Track
 from .orientations import HeadingTask as HeadingTask
 from .orientations import OrientationTask as OrientationTask
 from .orientations import PoseTask as PoseTask
+from .overload import gravity_overload as gravity_overload
 from .pathfiles import path_from_csv as path_from_csv
 from .positions import ComTask as ComTask
 from .positions import PositionTask as PositionTask

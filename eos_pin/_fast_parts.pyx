@@ -55,7 +55,8 @@ cdef class Limits:
         """Largest acceleration of a joint towards a limit."""
         cdef double room = self.ends[i] - q, b = self.braking[i], speed = self.rate * dq
         cdef double root = sqrt(2.0 * self.rate * self.rate * b * max(room, 0.0) + b * b)
-        cdef double most = root - b + self.rate * self.rate * min(room, 0.0) - b / root * speed
+        cdef double beyond = self.rate * self.rate * min(room, 0.0), slower = 1.0 - beyond / self.fastest[i]
+        cdef double most = root - b + beyond / slower - b / root * speed / (slower * slower)
         return min(max(min(most, self.fastest[i]) - speed, -self.acceleration[i]), self.acceleration[i])
 
     cdef double kept_to(self, Py_ssize_t i, double ddq) noexcept:
@@ -98,6 +99,8 @@ cdef class Limits:
             part = max(part, fabs(data(tau)[i]) / self.torque[i])
         if part > 1.0:
             self.within(mean, tau, below, above)
+            for i in range(n):
+                data(below)[i], data(above)[i] = min(data(below)[i], 0.0), max(data(above)[i], 0.0)
             M = self.model.mass(middle)
             more = self.smallest(J, M, below, above)
             for i in range(n):

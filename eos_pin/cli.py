@@ -39,6 +39,7 @@ from eos_pin.report import (
     scene_of,
     show,
     stderr,
+    warn_of_gravity,
     watched,
     write_json,
 )
@@ -76,14 +77,13 @@ def track(
     reference = path.make(goal, q)
     say_notes(reference)
     controller = control.make(goal, reference, q, simulation.period)
-    title = f"{machine.name}, {task.task}"
     duration = path.length(reference)
-    with watched(output, machine, q, duration, title) as observer:
+    warn_of_gravity(machine, q)
+    with watched(output, machine, q, duration, f"{machine.name}, {task.task}") as observer:
         result = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer)
     names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
     files = output.within(Path("runs") / f"{Path(robot.robot).stem}-{task.task}", names=names)
-    summary = result.summary()
-    console.print(run_table(summary))
+    console.print(run_table(result.summary()))
     say_files(deliver(files, result, machine))
     return 0 if result.ok else 1
 
@@ -163,8 +163,7 @@ def compare(
     from eos_pin import plots
 
     written = [result.save(files.out / f"{name}.npz") for name, result in results.items() if files.out]
-    first = results[controllers[0]]
-    wanted = replace(files, out=None)
+    first, wanted = results[controllers[0]], replace(files, out=None)
     say_files(written + deliver(wanted, first, machine, figures=summaries, plot=plots.comparison(results)))
     return 0 if first.ok else 1
 

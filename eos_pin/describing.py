@@ -47,6 +47,7 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
       eos-pin info path/to/robot.urdf --frame tool0 --task pose
     """
     from eos_pin.loading import leaf_frames
+    from eos_pin.overload import gravity_overload
 
     output.without("seed", "csv", reason="nothing moves here")
     machine = robot.load()
@@ -68,7 +69,7 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
         lines += ["The task takes all joints (r = 0): there is no self-motion to command"] if r == 0 else []
     lines.append(f"Ends of branches: {', '.join(leaf_frames(machine))}")
     lines.append(f"All frames: {', '.join(machine.frames)}")
-    lines += [f"Note: {note}" for note in machine.notes]
+    lines += [f"Note: {note}" for note in (*machine.notes, *gravity_overload(machine, q))]
     words = {"task": "No such task", "chart": "Warning", "dynamics": "No dynamics, so no control", "path": "No path"}
     lines += [f"{words[kind]}: {reason}" for kind, reason in found.cannot.items()]
     lines += _advice(robot, task, found)

@@ -8,21 +8,21 @@ continuous function of the state: limits are approached smoothly, and nothing is
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import daqp
 import numpy as np
 from jaxtyping import Float
 
 from eos_pin.arrays import Array, Jacobian, JointVector, Vector, VectorLike, number, readonly, spread
 from eos_pin.atlas import Atlas
+from eos_pin.change import SmallestChange
 from eos_pin.compiled import kernels
 from eos_pin.controllers import EosController
 from eos_pin.errors import InputError
 from eos_pin.objectives import Objective
+from eos_pin.overload import gravity_overload
 from eos_pin.robot import Robot
 from eos_pin.targets import Trajectory
 from eos_pin.tasks import Task
@@ -32,17 +32,13 @@ RATE = 100.0
 #: Position limits are kept this distance off, times the period squared: 1e-5 rad at 1 kHz. It covers what the motion
 #: over a period differs from its prediction, which falls with the square of the period, too [rad/s² or m/s²].
 ROOM = 10.0
-#: Price of a change that the task feels against one of the joints, for its size and for its square. The first keeps the
-#: task exactly, up to where that would take excessive self-motion; the second shares what must be given up among the
-#: directions of the task, so that the robot is not caught where it gives up one of them for ever.
-TASK_PRICE, TASK_WEIGHT = 1e3, 1e4
-#: The same for position and velocity limits; so high that they give way to nothing but torque limits.
-LIMIT_PRICE, LIMIT_WEIGHT = 1e8, 1e5
+#: A limit counts as passed beyond this: of position [rad or m], and of velocity, as a part of it.
+POSITION, VELOCITY = 1e-5, 1e-3
+#: A torque counts as used up from this part of its limit on; and time before a limit is passed that tells why [s].
+USED_UP, BEFORE = 0.999, 0.05
 #: Where each joint may be accelerated by this much more than it is, limits are not looked at more closely
 #: [rad/s² or m/s²].
 CLEAR = 20.0
-#: How daqp is told that a limit may be passed at a price, and how close to zero is zero for the task [m/s² or rad/s²].
-SOFT, ZERO = 8, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +118,7 @@ class JointLimits:
         Both change continuously with the state. At the distance s from its limit a joint may move towards it at the
         speed V(s) = √(2 b s + c²) − c, c = b/ρ: far away that is what the braking deceleration b just stops there, near
         it ρ s. Where a ≤ ρ (V − v) − V' v a speed v below V(s) stays below, and because V V' ≤ b no more than b is ever
-        needed. ρ is `RATE`.
+        needed. ρ is `RATE`. Beyond the limit V = ρ s / (1 + ρ |s| / v), v its velocity limit: there is no hurry back.
 
         Args:
             q: Joints.
@@ -131,6 +127,43 @@ class JointLimits:
         """
         most = _Viability(self, period)(q, dq)
         return np.minimum(-most[q.size :], most[: q.size]), most[: q.size]
+
+    def passed(
+        self, robot: Robot, t: Vector, q: Float[Array, "T n"], dq: Float[Array, "T n"], tau: Float[Array, "T n"]
+    ) -> str:
+        """Limits of position and velocity that were passed in a run, by how much, and why; empty where none was.
+
+        Args:
+            robot: The robot as the controller knows it.
+            t: Times [s].
+            q: Joints.
+            dq: Joint velocities.
+            tau: Torques.
+        """
+        over, speed = np.maximum(q - self.upper, self.lower - q), np.abs(dq) / self.velocity
+        told = []
+        for j, joint in enumerate(robot.joints):
+            rows = np.flatnonzero((over[:, j] > POSITION) | (speed[:, j] > 1.0 + VELOCITY))
+            if not len(rows):
+                continue
+            first, length, unit = rows[0], *(("m", "N") if joint.kind == "prismatic" else ("rad", "N m"))
+            amounts = []
+            if over[:, j].max() > POSITION:
+                amounts.append(f"its position limit by {over[:, j].max():.2g} {length}")
+            if speed[:, j].max() > 1.0 + VELOCITY:
+                amounts.append(f"its velocity limit {speed[:, j].max():.3g} times")
+            recent = slice(np.searchsorted(t, t[first] - BEFORE), first + 1)
+            if first == 0:
+                why = "where it began"
+            elif (np.abs(tau[recent, j]) >= USED_UP * self.torque[j]).any():
+                weight = max(abs(robot.gravity(row)[j]) for row in q[: first + 1])
+                why = (
+                    f"as its torque of {self.torque[j]:.3g} {unit} was used up (gravity took up to {weight:.3g} {unit})"
+                )
+            else:
+                why = "though it had torque left: other joints lacked it, or the motion was not the model's"
+            told.append(f"{joint.name!r} passed {' and '.join(amounts)}, first at t = {t[first]:.4g} s, {why}")
+        return f"limits were passed: {'; '.join(told)}" if told else ""
 
 
 class _Viability:
@@ -150,7 +183,9 @@ class _Viability:
         room, speed = self.ends - self.sides.dot(q), rate * self.sides.dot(dq)
         # ρ V = root − b and V' = ρ b / root
         root = np.sqrt(2.0 * rate**2 * b * np.maximum(room, 0.0) + b * b)
-        most = root - b + rate**2 * np.minimum(room, 0.0) - b / root * speed
+        beyond = rate**2 * np.minimum(room, 0.0)
+        slower = 1.0 - beyond / self.fastest
+        most = root - b + beyond / slower - b / root * speed / slower**2
         most = np.minimum(most, self.fastest) - speed
         return np.minimum(np.maximum(most, -self.acceleration), self.acceleration)
 
@@ -183,6 +218,9 @@ class LimitedEosController(EosController):
     """EOS computed torque within limits; for a sampled loop, because limits are kept from one sample to the next.
 
     Where no limit is active the torque is that of `EosController`, to the last digit.
+
+    A joint too weak for what it carries is lost: it brakes with all the torque it has, and joints that can keep their
+    limits nevertheless do. `overload` tells beforehand where gravity takes more torque than there is.
 
     A target may lead out of reach and come back; the task is then taken up again. But the law is local: an arm that
     went through a singularity meanwhile, or began near one, may have come to where joint limits bar every way that
@@ -230,6 +268,14 @@ class LimitedEosController(EosController):
         if name in ("limits", "period", "gravity"):
             # It holds copies.
             self.__dict__.pop("_compiled", None)
+
+    def overload(self, q: JointVector | None = None) -> tuple[str, ...]:
+        """Joints that cannot hold themselves against gravity, see `gravity_overload`; to be read before the start.
+
+        Args:
+            q: Posture at the start.
+        """
+        return gravity_overload(self.robot, q, self.limits.torque)
 
     def describe(self) -> dict[str, Any]:
         kept = {name: getattr(self.limits, name).tolist() for name in ("velocity", "braking", "torque")}
@@ -285,7 +331,10 @@ class LimitedEosController(EosController):
         tau = model.inverse_dynamics(middle, speed, mean)
         if (np.abs(tau) > torque).any():
             now, M = np.concatenate((mean, tau)), model.mass(middle)
-            more = self._smallest(J, M, lower - now, upper - now)
+            least, most = lower - now, upper - now
+            # Who gives way to whom is settled.
+            least[:n], most[:n] = np.minimum(least[:n], 0.0), np.maximum(most[:n], 0.0)
+            more = self._smallest(J, M, least, most)
             tau, change = tau + M.dot(more), change + more
         # For rounding only.
         return np.minimum(np.maximum(tau, -torque), torque), change
@@ -295,55 +344,3 @@ class LimitedEosController(EosController):
         half = 0.5 * self.period
         speed = dq + half * ddq
         return q + 0.5 * half * (dq + speed), speed
-
-
-class SmallestChange:
-    """Smallest change of acceleration that keeps all limits, and that the task feels only where it must.
-
-    It is the Δ that minimizes ½|Δ|² + Σ(TASK_PRICE t + ½ TASK_WEIGHT t²) + Σ(LIMIT_PRICE w + ½ LIMIT_WEIGHT w²) where
-    |JΔ| ≤ t, least − w ≤ Δ ≤ most + w, and MΔ is within the torques. Prices are due from the first bit on, so t and w
-    are exactly zero wherever that costs less. The minimum always exists, is unique, and moves continuously.
-
-    Args:
-        m: Number of task directions.
-        n: Number of joints.
-    """
-
-    def __init__(self, m: int, n: int) -> None:
-        self._made_from = m, n
-        sizes = n, n, m
-        # t and w are the slacks that daqp itself gives to soft limits, so only Δ is unknown.
-        self._kinds = np.repeat(np.array((SOFT, 0, SOFT), dtype=np.intc), sizes)
-        self._rows, self._upper = np.ones((n + m, n)), np.full(2 * n + m, ZERO)
-        self._lower = -self._upper
-        self._model = daqp.Model()
-        self._model.setup(np.eye(n), np.zeros(n), self._rows, self._upper, self._lower, self._kinds)
-        prices = np.repeat((LIMIT_PRICE, 0.0, TASK_PRICE), sizes)
-        per_weight = np.repeat((1.0 / LIMIT_WEIGHT, 0.0, 1.0 / TASK_WEIGHT), sizes)
-        self._model.soft_weights(per_weight, per_weight, prices, prices)
-
-    def __call__(
-        self, J: Jacobian, M: Float[Array, "n n"], lower: Float[Array, "2*n"], upper: Float[Array, "2*n"]
-    ) -> JointVector:
-        """Smallest change.
-
-        Args:
-            J: Jacobian of the task.
-            M: Mass matrix.
-            lower: Least change of the accelerations and of the torques [rad/s² or m/s², N m or N].
-            upper: Largest change of both.
-        """
-        n = len(M)
-        self._rows[:n], self._rows[n:] = M, J
-        self._lower[: 2 * n], self._upper[: 2 * n] = lower, upper
-        # The kinds once more, lest the solution before be the start.
-        self._model.update(A=self._rows, bupper=self._upper, blower=self._lower, sense=self._kinds)
-        change, _, flag, _ = self._model.solve()
-        if flag > 0 and math.isfinite(change.dot(change)):
-            return change
-        # Only numbers beyond all reason have no solution; then every joint for itself.
-        return np.clip(0.0, lower[:n], upper[:n])
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # The workspace is made anew where it is unpickled.
-        return type(self), self._made_from

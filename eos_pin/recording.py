@@ -16,6 +16,7 @@ from eos_pin.arrays import Array, JointVector, Vector, VectorLike, nearest, numb
 from eos_pin.charts import Chart
 from eos_pin.controllers import Controller, EosController
 from eos_pin.errors import ChartError, EosError, InputError, SingularError
+from eos_pin.limits import LimitedEosController
 from eos_pin.margins import limits_of
 from eos_pin.results import Result, provenance
 from eos_pin.robot import Robot
@@ -143,18 +144,23 @@ class Recorder:
             message=self.message,
             info=info,
         )
-        lost = run.given_up_rows
-        if not (run.ok and lost.any()):
+        if not run.ok:
             return replace(run, message=run.message or _not_measured(controller))
+        lost = run.given_up_rows
         why = {"task": "near a singularity of the task", "limit": "to keep the limits"}
         when = "; ".join(
             f"{why[kind]} for {met['seconds']:.3g} s, first at t = {met['first']:.4g} s"
             for kind, met in run.singularities.items()
             if kind in why
         )
-        message = f"part of the task was given up {when}"
+        passed = ""
+        if isinstance(controller, LimitedEosController):
+            passed = controller.limits.passed(controller.robot, run.t, run.q, run.dq, run.tau)
+        messages = [passed] * bool(passed) + [f"part of the task was given up {when}"] * bool(lost.any())
         # While the controller settles that is to be expected; later the run has not done what it was to do.
-        return replace(run, status="degraded" if lost[run.settled_row :].any() else run.status, message=message)
+        degraded = passed or lost[run.settled_row :].any()
+        message = ". Also, ".join(messages) or run.message or _not_measured(controller)
+        return replace(run, status="degraded" if degraded else run.status, message=message)
 
     def _self_motion(self) -> dict[str, Array]:
         """Number of the chart and self-motion of each sample."""

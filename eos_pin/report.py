@@ -230,6 +230,19 @@ def say_notes(made: Robot | Trajectory) -> None:
         stderr.print(f"Note: {note}", markup=False, soft_wrap=True)
 
 
+def warn_of_gravity(robot: Robot, q: JointVector) -> None:
+    """Say on the terminal where gravity takes more torque than there is.
+
+    Args:
+        robot: The robot.
+        q: Posture at the start.
+    """
+    from eos_pin.overload import gravity_overload
+
+    for note in gravity_overload(robot, q):
+        stderr.print(f"Note: {note}.", soft_wrap=True, markup=False)
+
+
 def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
     """Table that fits the terminal, in the letters it has; see `eos_pin.tables`."""
 

@@ -60,7 +60,9 @@ TABLE = """
                 memories
                 controllers
                 baselines       scipy
-                limits          daqp
+                change          daqp
+                overload
+                limits
                 loop
                 batch
     5 run       strength
