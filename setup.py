@@ -9,12 +9,12 @@ from setuptools import Extension, setup
 setup(
     ext_modules=[
         Extension(
-            f"eos_pin.{name}",
-            [f"eos_pin/{name.replace('.', '/')}.pyx"],
+            f"eos_pin._kernels.{name}",
+            [f"eos_pin/_kernels/{name}.pyx"],
             include_dirs=[np.get_include()],
             define_macros=[("NPY_NO_DEPRECATED_API", "NPY_2_0_API_VERSION")],
             optional=True,
         )
-        for name in ("_fast_law", "_fast_parts", "_kernels._chain", "_kernels._trace")
+        for name in ("law", "parts", "_chain", "_trace")
     ]
 )

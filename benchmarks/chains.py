@@ -27,10 +27,10 @@ import tyro
 from rich.progress import track
 
 from eos_pin import Chart, ControlLoop, EosController, Hold, PositionTask, Robot
-from eos_pin.cli import run
-from eos_pin.driving import Drive
-from eos_pin.memories import EosMemory
-from eos_pin.report import console, grid, stderr, write_json
+from eos_pin.cli.main import run
+from eos_pin.cli.output import console, grid, stderr, write_json
+from eos_pin.control._regularize import AccelerationMap
+from eos_pin.control.state import EosState
 
 #: Length [m] and mass [kg] of each chain, and the angle its arc turns through [rad].
 LENGTH, MASS, ARC = 2.0, 2.0, 1.5 * math.pi
@@ -38,8 +38,8 @@ LENGTH, MASS, ARC = 2.0, 2.0, 1.5 * math.pi
 MEASURED = {
     "step": "`ControlLoop.step` of an `EosController`, on its first chart",
     "step later": "the same after 100 charts",
-    "chart": "`Chart.at`",
-    "next chart": "`Chart.at(previous=)`, mean of 100 charts along two rounds of a figure eight",
+    "chart": "`Chart.from_base`",
+    "next chart": "`Chart.from_base(previous=)`, mean of 100 charts along two rounds of a figure eight",
     "IK 0.1 m": "`Chart.inverse` from 0.1 m away to 1e-10 m",
     "IK 1 mm": "the same from 1 mm away, B kept",
 }
@@ -72,7 +72,7 @@ class Bench:
         self.robot = chain(n)
         self.task = task = PositionTask(self.robot, "tip", "xy")
         self.q = np.full(n, ARC / n)
-        self.chart = Chart.at(task, self.q)
+        self.chart = Chart.from_base(task, self.q)
         self.dq = random.normal(size=n) / n
         self.state = self.q + 0.01 * random.normal(size=n) / math.sqrt(n), self.dq
         self.controller = EosController(task, Hold(self.chart.z_bar), smooth=False)
@@ -86,7 +86,7 @@ class Bench:
         """Chart after chart, each at the next configuration."""
         chart = self.chart
         for q in path:
-            chart = Chart.at(self.task, q, previous=chart)
+            chart = Chart.from_base(self.task, q, previous=chart)
         return chart
 
     def loop(self, before: Chart | None = None) -> Callable[[], Any]:
@@ -94,7 +94,7 @@ class Bench:
         loop = ControlLoop(self.controller)
         loop.step(0.0, *self.state)
         if before is not None:
-            loop.memory = self.controller.update(0.0, *self.state, EosMemory(Drive(before)))
+            loop.state = self.controller.update(0.0, *self.state, EosState(AccelerationMap(before)))
         return lambda: loop.step(0.0, *self.state)
 
     def inverse(self, distance: float, *, refresh: bool) -> Callable[[], Any]:
@@ -107,7 +107,7 @@ class Bench:
         return {
             "step": (self.loop(), 1),
             "step later": (self.loop(self.later), 1),
-            "chart": (lambda: Chart.at(self.task, self.q), 1),
+            "chart": (lambda: Chart.from_base(self.task, self.q), 1),
             "next chart": (lambda: self.along(self.path), len(self.path)),
             "IK 0.1 m": (self.inverse(0.1, refresh=True), 1),
             "IK 1 mm": (self.inverse(1e-3, refresh=False), 1),
@@ -116,8 +116,8 @@ class Bench:
     def check(self) -> None:
         """Task and self-motion accelerate as the law says, by forward dynamics; the joints found have (z, v)."""
         q, dq = self.state
-        point, first = self.task.at(q, dq), Chart.at(self.task, q)
-        for before, chart in ((None, first), (self.later, Chart.at(self.task, q, previous=self.later))):
+        point, first = self.task.at(q, dq), Chart.from_base(self.task, q)
+        for before, chart in ((None, first), (self.later, Chart.from_base(self.task, q, previous=self.later))):
             ddq = self.robot.forward_dynamics(q, dq, self.loop(before)())
             pull = 100.0 * (self.chart.z_bar - point.z) - 20.0 * point.dz
             np.testing.assert_allclose(point.J @ ddq + point.drift, pull, atol=1e-7)

@@ -43,10 +43,10 @@ from eos_pin import (
     load_robot,
     simulate,
 )
-from eos_pin.cli import run
-from eos_pin.compiled import ORIGINALS, kernels
-from eos_pin.memories import EosMemory
-from eos_pin.report import console, grid, stderr, write_json
+from eos_pin._kernels.dispatch import REFERENCES, kernels
+from eos_pin.cli.main import run
+from eos_pin.cli.output import console, grid, stderr, write_json
+from eos_pin.control.state import EosState
 
 TIP, REST = "panda_hand_tcp", np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 #: A call, by what it does.
@@ -71,26 +71,26 @@ def twins() -> tuple[Calls, Calls]:
     dq, dq_last = 0.1 * REST, 0.1 * REST
     for kind, (task, path) in problems().items():
         controller = EosController(task, path)
-        memory = controller.start(0.0, REST, dq)
-        chart, point, target = memory.chart, task.at(REST, dq), path(0.1)
+        state = controller.start(0.0, REST, dq)
+        chart, point, target = state.chart, task.at(REST, dq), path(0.1)
         error = task.minus(target.z, point.z)
         law = REST, dq, *target, None
         F = controller.asked(0.1, REST, dq, chart, point)
         limited = LimitedEosController(task, path)
-        ddq = memory.drive(point.J, F, dq)[0]
+        ddq = state.drive(point.J, F, dq)[0]
 
-        def law_in_full(controller: EosController = controller, memory: EosMemory = memory) -> Any:
+        def law_in_full(controller: EosController = controller, state: EosState = state) -> Any:
             point = Task.at(controller.task, REST, dq)
-            return memory.drive.readable(point.J, controller.asked(0.1, REST, dq, memory.chart, point), dq)
+            return state.drive._reference(point.J, controller.asked(0.1, REST, dq, state.chart, point), dq)
 
         pairs: dict[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
             "task at a state": (partial(task.at, REST, dq), partial(Task.at, task, REST, dq)),
             "task and Jacobian": (partial(task.linearize, REST), partial(Task.linearize, task, REST)),
-            "task, tracking law and drive": (partial(memory.law, *law), law_in_full),
-            "drive": (partial(memory.drive, point.J, F, dq), partial(memory.drive.readable, point.J, F, dq)),
+            "task, tracking law and drive": (partial(state.law, *law), law_in_full),
+            "drive": (partial(state.drive, point.J, F, dq), partial(state.drive._reference, point.J, F, dq)),
             "limits, none active": (
                 partial(limited._within, REST, dq, ddq, point.J),
-                partial(limited.readable, REST, dq, ddq, point.J),
+                partial(limited._reference, REST, dq, ddq, point.J),
             ),
             "on_chart_inverse": _pair("on_chart_inverse", point.J, chart.U),
             "newton_step": _pair("newton_step", REST, chart.U, error, chart.B_bar, error),
@@ -99,19 +99,22 @@ def twins() -> tuple[Calls, Calls]:
             pairs["flat_pose"] = _pair("flat_pose", pin.SE3.Random().homogeneous)
             pairs["pose_difference"] = _pair("pose_difference", target.z, point.z)
         else:
-            watches = kernels.Watch(0.0, REST, 0.04), ORIGINALS["Watch"](0.0, REST, 0.04)
-            pairs["Watch"] = partial(watches[0].follows, 0.0, REST, dq), partial(watches[1].follows, 0.0, REST, dq)
-            pairs["surely_within"] = _pair("surely_within", REST, np.full(7, 0.01))
+            watches = kernels.StateMonitor(0.0, REST, 0.04), REFERENCES["StateMonitor"](0.0, REST, 0.04)
+            pairs["StateMonitor"] = (
+                partial(watches[0].accepts, 0.0, REST, dq),
+                partial(watches[1].accepts, 0.0, REST, dq),
+            )
+            pairs["within_limits_fast"] = _pair("within_limits_fast", REST, np.full(7, 0.01))
             pairs["largest"] = _pair("largest", error)
             pairs["state_rate"] = _pair("state_rate", dq, dq_last, REST)
-            pairs["figure eight"] = partial(path, 0.1), partial(path.waves.readable, 0.1)  # type: ignore[attr-defined]
+            pairs["figure eight"] = partial(path, 0.1), partial(path.waves._reference, 0.1)  # type: ignore[attr-defined]
         for name, (one, other) in pairs.items():
             compiled[f"{name}, {kind}"], plain[f"{name}, {kind}"] = one, other
     return compiled, plain
 
 
 def _pair(name: str, *arguments: Any) -> tuple[Callable[[], Any], Callable[[], Any]]:
-    return partial(getattr(kernels, name), *arguments), partial(ORIGINALS[name], *arguments)
+    return partial(getattr(kernels, name), *arguments), partial(REFERENCES[name], *arguments)
 
 
 def whole() -> Calls:
@@ -126,7 +129,7 @@ def whole() -> Calls:
             loop = ControlLoop(controller)
             loop.step(0.0, REST, 0.0 * REST)
             calls[f"{name}, {kind}"] = partial(loop.step, 0.1, REST, 0.1 * REST)
-        chart = Chart.at(task, REST)
+        chart = Chart.from_base(task, REST)
         z = chart.z_bar + np.r_[0.02, 0.05, -0.08, np.zeros(task.size - 3)]
         calls[f"inverse kinematics from 0.1 m, {kind}"] = partial(chart.inverse, z, chart.v_bar)
         calls[f"continuous run of 1 s, {kind}"] = partial(simulate, task.robot, controllers["step"], REST, duration=1.0)

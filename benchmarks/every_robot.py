@@ -27,12 +27,18 @@ from joblib import Parallel, delayed
 from rich.progress import Progress
 
 from eos_pin import EosController, EosError, available_robots, load_robot, simulate
-from eos_pin.cli import run
+from eos_pin.cli.main import run
+from eos_pin.cli.output import (
+    console,
+    format_number,
+    grid,
+    stderr,
+    write_json,
+)
 from eos_pin.errors import InputError
-from eos_pin.library import NamedRobot
-from eos_pin.presets import TaskKind, fitting_path, make_task, rest_posture
-from eos_pin.report import console, figure, grid, stderr, write_json
-from eos_pin.urdf import read_urdf
+from eos_pin.experiments.defaults import TaskKind, fitting_path, make_task, rest_posture
+from eos_pin.robot.library import NamedRobot
+from eos_pin.robot.urdf import read_urdf
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "robots.md"
 #: A pose needs this many joints.
@@ -117,7 +123,7 @@ def _ran(row: Row, duration: float) -> Row:
     row = replace(row, task=f"{row.task} {','.join(task.labels)}", error=error)
     if not result.ok:
         return replace(row, result="ended", reason=f"{result.status}: {result.message}")
-    return row if error < ACCURATE else replace(row, result="inaccurate", reason=f"task error {figure(error)}")
+    return row if error < ACCURATE else replace(row, result="inaccurate", reason=f"task error {format_number(error)}")
 
 
 def every_robot(
@@ -160,7 +166,7 @@ def every_robot(
     noise = sum(len(row.said) for row in rows)
     worst = max((row.error or 0.0 for row in rows if row.result == "ran"), default=0.0)
     verdict = (
-        f"{len(rows) - len(refused)} of {len(rows)} ran, the others say why not; worst task error {figure(worst)}; "
+        f"{len(rows) - len(refused)} of {len(rows)} ran, the others give reasons; worst error {format_number(worst)}; "
         f"{noise} characters on the terminal; slowest {max(row.seconds for row in rows):.1f} s"
     )
     console.print(verdict)
@@ -200,7 +206,7 @@ def document(rows: Sequence[Row], verdict: str) -> str:
         "|---|---|---|---|---|",
     ]
     lines += [
-        f"| {name} | {branches} | {position} | {pose} | {error if isinstance(error, str) else figure(error)} |"
+        f"| {name} | {branches} | {position} | {pose} | {error if isinstance(error, str) else format_number(error)} |"
         for name, branches, position, pose, error in summary(rows)
     ]
     failed = [row for row in rows if row.result != "ran"]

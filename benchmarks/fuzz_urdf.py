@@ -34,9 +34,15 @@ from mutations import mutated
 from rich.progress import Progress
 
 from eos_pin import ControlLoop, EosController, EosError, Hold, load_robot
-from eos_pin.cli import run
-from eos_pin.presets import make_task
-from eos_pin.report import console, figure, grid, stderr, write_json
+from eos_pin.cli.main import run
+from eos_pin.cli.output import (
+    console,
+    format_number,
+    grid,
+    stderr,
+    write_json,
+)
+from eos_pin.experiments.defaults import make_task
 
 #: Nothing may take more processor time than this [s].
 TIME_LIMIT = 5.0
@@ -148,13 +154,13 @@ def fuzz(
         json_file: File for the figures, machine-readable.
         keep: Folder for the files that did what they should not.
     """
-    start, memory = time.perf_counter(), 0
+    start, state = time.perf_counter(), 0
     done: list[Outcome] = []
     with Progress(console=stderr, transient=True) as progress:
         bar = progress.add_task("mutated URDFs", total=count)
         for some, peak in outcomes(range(first, first + count), jobs):
             done += some
-            memory = max(memory, peak)
+            state = max(state, peak)
             progress.update(bar, advance=len(some))
     kinds = Counter((outcome.kind, outcome.good) for outcome in done)
     rows = []
@@ -163,7 +169,7 @@ def fuzz(
         rows.append((kind, number, "allowed" if good else "WRONG", slowest[0], slowest[1]))
     console.print(grid(f"{len(done)} mutated URDFs", ("outcome", "how many", "", "slowest, s", "seed"), rows))
     seconds = time.perf_counter() - start
-    console.print(f"most memory of a process {memory / 2**20:.0f} MB; {seconds:.0f} s in all")
+    console.print(f"most memory of a process {state / 2**20:.0f} MB; {seconds:.0f} s in all")
     bad = sorted((outcome for outcome in done if not outcome.good), key=lambda outcome: outcome.seed)
     for outcome in bad[:20]:
         lines = outcome.detail.strip().splitlines()
@@ -181,12 +187,12 @@ def fuzz(
             "outcomes": {kind: number for (kind, _), number in kinds.items()},
             "wrong": [asdict(outcome) for outcome in bad],
             "slowest_seconds": max(outcome.seconds for outcome in done),
-            "memory_bytes": memory,
+            "memory_bytes": state,
             "seconds": seconds,
         }
         write_json(json_file, figures)
     complete = len(done) == count
-    console.print(f"worst time {figure(max(o.seconds for o in done))} s; {len(bad)} wrong")
+    console.print(f"worst time {format_number(max(o.seconds for o in done))} s; {len(bad)} wrong")
     return int(bool(bad) or not complete)
 
 

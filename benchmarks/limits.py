@@ -43,8 +43,8 @@ from eos_pin import (
     load_robot,
     simulate_sampled,
 )
-from eos_pin.cli import run
-from eos_pin.report import console, grid, stderr, write_json
+from eos_pin.cli.main import run
+from eos_pin.cli.output import console, grid, stderr, write_json
 
 #: Farther than this no joint may be beyond its limit [rad].
 OVER = 1e-6
@@ -74,8 +74,8 @@ def example(seed: int, period: float = 1e-3, *, rate: float = 200.0) -> Result:
     step[:3] = random.normal(size=3)
     step *= random.uniform(0.1, 1.0) / np.linalg.norm(step)
     path = Geodesic(task, np.array([z, task.plus(z, step), z]), np.array([0.0, 0.5 * BACK, BACK]))
-    controller = LimitedEosController(task, path, period=period)
-    return simulate_sampled(robot, controller, q, duration=DURATION, period=period, rate=rate)
+    controller = LimitedEosController(task, path, control_period=period)
+    return simulate_sampled(robot, controller, q, duration=DURATION, control_period=period, record_rate=rate)
 
 
 def one(seed: int) -> dict[str, float | str]:
@@ -92,7 +92,7 @@ def one(seed: int) -> dict[str, float | str]:
         "over": float(np.maximum(found.q - robot.upper, robot.lower - found.q).max()),
         "torque": float((np.abs(found.tau) / robot.effort).max()) if np.isfinite(found.tau).all() else np.inf,
         "speed": float((np.abs(found.dq) / robot.velocity).max()) - 1.0,
-        "given_up": found.given_up_seconds,
+        "given_up": found.deficit_seconds,
         "task": met.get("task", {}).get("seconds", 0.0),
         "limit": met.get("limit", {}).get("seconds", 0.0),
         "off": float(np.abs(found.error[-1]).max()),
@@ -128,8 +128,8 @@ def weak_run(seed: int) -> tuple[Result, JointLimits, Robot]:
     step = random.normal(size=3)
     step *= random.uniform(0.0, 0.7) / np.linalg.norm(step)
     path = Geodesic(task, np.array([z, z + step, z]), np.array([0.0, 0.5 * BACK, BACK]))
-    controller = LimitedEosController(task, path, period=EXACT)
-    run = simulate_sampled(robot, controller, q, duration=2.0, period=EXACT, rate=1.0 / EXACT)
+    controller = LimitedEosController(task, path, control_period=EXACT)
+    run = simulate_sampled(robot, controller, q, duration=2.0, control_period=EXACT, record_rate=1.0 / EXACT)
     return run, controller.limits, robot
 
 

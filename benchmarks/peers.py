@@ -24,9 +24,9 @@ import tyro
 from rich.markup import escape
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from eos_pin.cli import run
+from eos_pin.cli.main import run
+from eos_pin.cli.output import console, stderr
 from eos_pin.errors import InputError
-from eos_pin.report import console, stderr
 
 #: Where the environments are, in the checkout and ignored by git.
 FOLDER = Path(__file__).resolve().parent.parent / ".peers"

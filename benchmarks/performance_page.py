@@ -9,7 +9,7 @@ from typing import Any
 from ratios import Ratio
 from sections import Section
 
-from eos_pin.report import figure
+from eos_pin.cli.output import format_number
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "performance.md"
 
@@ -120,7 +120,7 @@ def shown(cell: Any) -> str:
     """A cell: three digits, but no powers of ten for what is merely large."""
     if not isinstance(cell, float):
         return str(cell)
-    return f"{cell:.0f}" if 1000.0 <= abs(cell) < 1e7 else figure(cell)
+    return f"{cell:.0f}" if 1000.0 <= abs(cell) < 1e7 else format_number(cell)
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:

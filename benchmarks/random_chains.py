@@ -42,20 +42,21 @@ from eos_pin import (
     TaskForce,
     Track,
     simulate,
-    simulate_eos,
+    simulate_extended,
     simulate_sampled,
 )
-from eos_pin.cli import run
-from eos_pin.linear import FADING
-from eos_pin.presets import PASSABLE, regularity
-from eos_pin.report import console, grid, stderr, write_json
+from eos_pin.cli.main import run
+from eos_pin.cli.output import console, grid, stderr, write_json
+from eos_pin.control._regularize import SINGULAR_VALUE_FLOOR
+from eos_pin.experiments.defaults import PASSABLE, regularity
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 #: Rounding error of a number of size one.
 ROUNDING = float(np.finfo(float).eps)
-#: How far from singular tasks must be: control fades out below `FADING`, earlier where the joints are fast.
-REGULAR = 2.4 * FADING
+#: How far from singular tasks must be: control fades out below `SINGULAR_VALUE_FLOOR`, earlier where the joints are
+#: fast.
+REGULAR = 2.4 * SINGULAR_VALUE_FLOOR
 #: The largest figures that are right; what each is stands in `Figures`.
 BOUNDS = {
     "identity": 10.0,
@@ -183,13 +184,13 @@ def _regular(task: Task, random: np.random.Generator) -> np.ndarray:
 
 def _identities(task: Task, q: np.ndarray, random: np.random.Generator) -> dict[str, float]:
     """Eqs. (15)–(20) and (30) at a state away from the base of the chart, in units of rounding."""
-    chart, robot = Chart.at(task, q), task.robot
+    chart, robot = Chart.from_base(task, q), task.robot
     for size in (0.3, 0.1, 0.03, 0.01):
         near = q + size * random.normal(size=robot.n)
         if chart.margin(task.linearize(near)[1]) > 0.3 and regularity(task, near) > PASSABLE:
             break
     dq, tau, force = random.normal(size=robot.n), random.normal(size=robot.n), random.normal(size=task.m)
-    dynamics = ExtendedDynamics.at(robot, chart, near, dq)
+    dynamics = ExtendedDynamics.from_state(robot, chart, near, dq)
     point = dynamics.point
     H, J = point.H, point.task.J
     condition = float(np.linalg.cond(point.H_inverse))
@@ -213,9 +214,9 @@ def _equivalence(task: Task, q: np.ndarray, random: np.random.Generator) -> tupl
     effort = robot.mass(q) @ random.normal(size=robot.n)
     torque = OpenLoop(lambda t: gravity + np.cos(3.0 * t) * effort)
     force = TaskForce(task, lambda t: np.sin(5.0 * t) * push)
-    options: dict[str, Any] = {"duration": 0.5, "rtol": 1e-11, "task_force": force, "rate": 20.0}
+    options: dict[str, Any] = {"duration": 0.5, "rtol": 1e-11, "task_force": force, "record_rate": 20.0}
     one = simulate(robot, torque, q, dq, **options)
-    other = simulate_eos(robot, torque, q, dq, atlas=Atlas(task), **options)
+    other = simulate_extended(robot, torque, q, dq, atlas=Atlas(task), **options)
     rows = min(len(one.t), len(other.t))
     parts = ((one.q, other.q), (one.dq, other.dq))
     # Relative to the size of what is compared, where that is large.
@@ -258,10 +259,13 @@ def _anywhere(task: Task, random: np.random.Generator) -> list[Result]:
     z, scale = task.value(q), np.array([robot.reach if unit == "m" else 1.0 for unit in task.units])
     far = task.plus(z, scale * random.normal(size=task.m) / np.sqrt(task.m))
     path = Geodesic(task, np.array([z, far, z]), np.array([0.0, 0.75, 1.5]))
-    limits = JointLimits.of(robot, velocity=SPEED)
+    limits = JointLimits.from_robot(robot, velocity=SPEED)
     # Without limits joints get so fast that they would go a tenth of a radian in a millisecond.
     controllers = (LimitedEosController(task, path, limits=limits), 1e-3), (EosController(task, path), 5e-4)
-    return [simulate_sampled(robot, controller, q, duration=2.0, period=period) for controller, period in controllers]
+    return [
+        simulate_sampled(robot, controller, q, duration=2.0, control_period=period)
+        for controller, period in controllers
+    ]
 
 
 def random_chains(

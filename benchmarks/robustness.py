@@ -42,8 +42,8 @@ from eos_pin import (
     load_robot,
     simulate_sampled,
 )
-from eos_pin.cli import run
-from eos_pin.report import console, grid, stderr, write_json
+from eos_pin.cli.main import run
+from eos_pin.cli.output import console, grid, stderr, write_json
 
 POSTURE = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 FRAME = "panda_hand_tcp"
@@ -126,7 +126,7 @@ class Row:
     recovery: float
     torque_max: float
     joint_drift: float
-    given_up: float
+    task_deficit: float
 
 
 def measure(kind: Literal["position", "pose"], name: str, controller: str, *, cycles: int, seeds: int) -> Row:
@@ -166,7 +166,7 @@ def _measure(kind: Literal["position", "pose"], name: str, controller: str, cycl
         _recovery(result, since),
         summary["torque_max"],
         (summary["joint_drift_per_cycle"] or [np.nan])[-1],
-        result.given_up_seconds,
+        result.deficit_seconds,
     )
 
 
@@ -213,7 +213,7 @@ def robustness(
 
 def _cells(row: Row) -> tuple[Any, ...]:
     error, drift = 1e3 * row.task_error_max, 1e3 * row.joint_drift
-    return row.scenario, row.controller, row.status, error, row.recovery, row.torque_max, drift, row.given_up
+    return row.scenario, row.controller, row.status, error, row.recovery, row.torque_max, drift, row.task_deficit
 
 
 if __name__ == "__main__":

@@ -32,10 +32,10 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from sections import QUICK, Effort, Section, inverse, long_loop, random_targets, steps, whole_runs
 from setting import both
 
-from eos_pin.cli import run
-from eos_pin.compiled import kernels
+from eos_pin._kernels.dispatch import kernels
+from eos_pin.cli.main import run
+from eos_pin.cli.output import console, grid, stderr, write_json
 from eos_pin.errors import InputError
-from eos_pin.report import console, grid, stderr, write_json
 
 
 def machine(team: Crew) -> dict[str, str]:

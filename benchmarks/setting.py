@@ -24,9 +24,9 @@ from eos_pin import (
     figure_eight,
     load_robot,
 )
-from eos_pin.presets import rest_posture
-from eos_pin.robot import Robot
-from eos_pin.shapes import Shapes
+from eos_pin.experiments.defaults import rest_posture
+from eos_pin.robot.geometry import Shapes
+from eos_pin.robot.model import Robot
 
 #: Postures that people use; other robots rest where the task has most room.
 POSTURES = {"panda": (0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8)}
@@ -124,15 +124,15 @@ class Setting:
     @cached_property
     def acceleration(self) -> np.ndarray:
         """What the controller asks of the joints in that state."""
-        memory = self.controller.start(0.0, self.posture, self.dq)
-        tau = self.controller.torque(T, self.posture, self.dq, memory)
+        state = self.controller.start(0.0, self.posture, self.dq)
+        tau = self.controller.torque(T, self.posture, self.dq, state)
         return self.robot.forward_dynamics(self.posture, self.dq, tau)
 
     @cached_property
     def tight(self) -> np.ndarray:
         """Acceleration limits, one of them active there: the joint that self-motion moves most may have nine tenths."""
         limits = np.full(self.robot.n, 1e3)
-        joint = np.linalg.norm(Chart.at(self.task, self.posture).V, axis=1).argmax()
+        joint = np.linalg.norm(Chart.from_base(self.task, self.posture).V, axis=1).argmax()
         limits[joint] = 0.9 * abs(self.acceleration[joint])
         return limits
 
@@ -223,7 +223,7 @@ class Setting:
     def motion(self) -> list[list[float]]:
         """States of one round of the figure eight, one a period, self-motion at rest."""
         times = np.arange(0.0, ROUND, PERIOD)
-        chart = Chart.at(self.task, self.posture)
+        chart = Chart.from_base(self.task, self.posture)
         found, start = [], None
         for t in times:
             start = chart.inverse(self.path(t).z, chart.v_bar, start=start)

@@ -21,8 +21,8 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from eos_pin.cli import run
-from eos_pin.report import console, grid, write_json
+from eos_pin.cli.main import run
+from eos_pin.cli.output import console, grid, write_json
 
 STEP = """
 import numpy as np
@@ -42,9 +42,12 @@ STARTS: dict[str, tuple[str, float | None]] = {
     "import eos_pin": ("import eos_pin", None),
     "from eos_pin import *": ("from eos_pin import *", None),
     "first step of panda": (STEP, 0.8),
-    "eos-pin --help": ("import sys; from eos_pin.cli import main; sys.exit(main(['--help']))", 0.6),
-    "eos-pin track --help": ("import sys; from eos_pin.cli import main; sys.exit(main(['track', '--help']))", None),
-    "eos-pin robots": ("import sys; from eos_pin.cli import main; sys.exit(main(['robots']))", None),
+    "eos-pin --help": ("import sys; from eos_pin.cli.main import main; sys.exit(main(['--help']))", 0.6),
+    "eos-pin track --help": (
+        "import sys; from eos_pin.cli.main import main; sys.exit(main(['track', '--help']))",
+        None,
+    ),
+    "eos-pin robots": ("import sys; from eos_pin.cli.main import main; sys.exit(main(['robots']))", None),
 }
 
 

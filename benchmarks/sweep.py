@@ -27,12 +27,29 @@ import tyro
 from joblib.externals.loky import get_reusable_executor
 
 from eos_pin import sweep, trials
-from eos_pin.cli import run
-from eos_pin.report import console, figure, grid, write_json
+from eos_pin.cli.main import run
+from eos_pin.cli.output import console, format_number, grid, write_json
 
-SETTINGS: dict[str, Any] = {"robot": ["panda", "xarm7"], "kp": [50.0, 100.0], "model_error": [0.0, 0.1], "rate": 1000.0}
+SETTINGS: dict[str, Any] = {
+    "robot": ["panda", "xarm7"],
+    "kp": [50.0, 100.0],
+    "model_error": [0.0, 0.1],
+    "control_rate": 1000.0,
+}
 #: The same as a command, to be killed.
-COMMAND = ["sweep", "panda", "xarm7", "--kp", "50,100", "--model-error", "0,0.1", "--rate", "1000", "--jobs", "2"]
+COMMAND = [
+    "sweep",
+    "panda",
+    "xarm7",
+    "--kp",
+    "50,100",
+    "--model-error",
+    "0,0.1",
+    "--control-rate",
+    "1000",
+    "--jobs",
+    "2",
+]
 
 
 def wall(call: Callable[[], object]) -> float:
@@ -67,7 +84,7 @@ def killed(seeds: int, cycles: int) -> dict[str, int]:
     """Kill the command when half of its runs are finished, and start it again."""
     with tempfile.TemporaryDirectory() as folder:
         words = [*COMMAND, "--seeds", str(seeds), "--cycles", str(cycles), "--out", folder]
-        command = [sys.executable, "-m", "eos_pin.cli", *words]
+        command = [sys.executable, "-m", "eos_pin.cli.main", *words]
         total = 8 * seeds
         finished = Path(folder) / "finished"
         quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
@@ -113,7 +130,7 @@ def benchmark(
     if json_file is not None:
         write_json(json_file, {"seconds": spent, "ratios": ratios, "killed": restart, "load": os.getloadavg()})
     ok = restart["computed twice"] == 0 and restart["finished in the end"] == restart["runs"]
-    console.print(f"Load of the machine: {figure(os.getloadavg()[0])}")
+    console.print(f"Load of the machine: {format_number(os.getloadavg()[0])}")
     return 0 if ok else 1
 
 

@@ -4,9 +4,108 @@ The parts, from the ground up: a `Robot` (`load_robot`), a `Task` z = G(q), a `C
 the robot, an `Atlas` of charts, a `Trajectory` to follow, an `EosController` that follows it, and `simulate` to run it.
 """
 
+import sys
+from typing import Any
+
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # The public names are listed in `__init__.pyi`.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+#: Names and modules of 0.1, and what each became; the changelog has the reasons.
+_RENAMED = {
+    "Together": "SumObjective",
+    "Reached": "IkSolution",
+    "Approach": "ClosestPair",
+    "TaskSpaceController": "OperationalSpaceController",
+    "simulate_eos": "simulate_extended",
+    "task_from": "task_from_description",
+    "control_torques": "a loop over controller.torque",
+    "inverse_kinematics": "Chart.inverse for one point, Atlas.follow for a path",
+    "pseudoinverse": "numpy.linalg.pinv",
+    "angles": "eos_pin.robot",
+    "animation": "eos_pin.paper",
+    "applicability": "eos_pin.experiments",
+    "applications": "eos_pin.paper",
+    "arrays": "eos_pin._arrays",
+    "atlas": "eos_pin.charts",
+    "avoidance": "eos_pin.planning",
+    "baselines": "eos_pin.control",
+    "bases": "eos_pin.charts",
+    "batch": "eos_pin.control",
+    "change": "eos_pin.control",
+    "checking": "eos_pin.robot",
+    "claims": "eos_pin.paper",
+    "clearance": "eos_pin.planning",
+    "compiled": "eos_pin._kernels.dispatch",
+    "controllers": "eos_pin.control",
+    "drawing": "eos_pin.plots",
+    "driving": "eos_pin.control",
+    "dynamics": "eos_pin.charts",
+    "encounters": "eos_pin.paper",
+    "exhibits": "eos_pin.paper",
+    "figures": "eos_pin.paper",
+    "files": "eos_pin._files",
+    "frames": "eos_pin.tasks",
+    "keyframes": "eos_pin.plots",
+    "kinematics": "eos_pin.simulation",
+    "library": "eos_pin.robot",
+    "limits": "eos_pin.control",
+    "linear": "eos_pin.charts",
+    "loading": "eos_pin.robot",
+    "loop": "eos_pin.control",
+    "margins": "eos_pin.simulation",
+    "markup": "eos_pin.robot",
+    "memories": "eos_pin.control",
+    "meshes": "eos_pin.viewer",
+    "mujoco_plant": "eos_pin.simulation",
+    "newton": "eos_pin.charts",
+    "objectives": "eos_pin.control",
+    "options": "eos_pin.experiments",
+    "orientations": "eos_pin.tasks",
+    "overload": "eos_pin.control",
+    "panels": "eos_pin.plots",
+    "positions": "eos_pin.tasks",
+    "postures": "eos_pin.robot",
+    "presets": "eos_pin.experiments",
+    "recording": "eos_pin.simulation",
+    "report": "eos_pin.cli",
+    "results": "eos_pin.simulation",
+    "scene": "eos_pin.viewer",
+    "server": "eos_pin.viewer",
+    "shapes": "eos_pin.robot",
+    "strength": "eos_pin.experiments",
+    "sweeping": "eos_pin.cli",
+    "sweeps": "eos_pin.experiments",
+    "systems": "eos_pin.simulation",
+    "tables": "eos_pin.cli",
+    "targets": "eos_pin.trajectories",
+    "terminal": "eos_pin.cli",
+    "urdf": "eos_pin.robot",
+    "workspace": "eos_pin.robot",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _RENAMED:
+        raise ImportError(_renamed(name))
+    return _public(name)
+
+
+def _renamed(name: str) -> str:
+    return f"eos_pin.{name} was renamed in 0.2: use {_RENAMED[name]}"
+
+
+class _OldModules:
+    """Import hook that names the new place of a module of 0.1."""
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> None:
+        old = name.removeprefix("eos_pin.")
+        if name.startswith("eos_pin.") and old in _RENAMED:
+            raise ModuleNotFoundError(_renamed(old), name=name)
+
+
+sys.meta_path.append(_OldModules)  # type: ignore[arg-type]

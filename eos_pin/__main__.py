@@ -2,7 +2,7 @@
 
 import sys
 
-from eos_pin.cli import main
+from eos_pin.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -11,7 +11,7 @@ task = PositionTask(robot, "panda_hand_tcp")
 q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 
 # A chart is based at a configuration; there v is zero.
-chart = Chart.at(task, q)
+chart = Chart.from_base(task, q)
 print(f"v has {chart.r} coordinates; at the base they are {chart.v(q)}")
 assert not chart.v(q).any()
 

@@ -12,13 +12,13 @@ q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 path = circle(task.value(q), 0.2, period=1.5, plane="yz")
 
 # Limits come from the URDF; some of them may be replaced.
-limits = JointLimits.of(robot, velocity=1.0)  # [rad/s]
+limits = JointLimits.from_robot(robot, velocity=1.0)  # [rad/s]
 
 # Limits are kept from one sample to the next, so these runs are sampled at 1 kHz.
 controllers = [EosController(task, path), LimitedEosController(task, path, limits=limits)]
 fastest = []
 for controller in controllers:
-    result = simulate_sampled(robot, controller, q, duration=4.5, period=1e-3)
+    result = simulate_sampled(robot, controller, q, duration=4.5, control_period=1e-3)
     late = slice(result.settled_row, None)
     fastest.append(np.abs(result.dq).max())
     error = np.abs(result.error[late]).max()

@@ -7,9 +7,9 @@ import numpy as np
 from eos_pin import (
     DampedNullSpace,
     EosController,
+    OperationalSpaceController,
     PositionTask,
     PostureNullSpace,
-    TaskSpaceController,
     circle,
     load_robot,
     simulate,
@@ -21,8 +21,8 @@ q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 path = circle(task.value(q), 0.1, period=4.0, plane="yz")
 
 controllers = {
-    "task-space control, damped null space": TaskSpaceController(task, path, DampedNullSpace()),
-    "task-space control, posture in the null space": TaskSpaceController(task, path, PostureNullSpace(q)),
+    "task-space control, damped null space": OperationalSpaceController(task, path, DampedNullSpace()),
+    "task-space control, posture in the null space": OperationalSpaceController(task, path, PostureNullSpace(q)),
     "EOS control": EosController(task, path),
 }
 drift = {}

@@ -14,7 +14,7 @@ class Spring(Controller):
         self.robot, self.task, self.reference = task.robot, task, reference
         self.stiffness, self.damping, self.joint_damping = stiffness, damping, joint_damping
 
-    def torque(self, t, q, dq, memory):
+    def torque(self, t, q, dq, state):
         """Joint torques (n,) [N m]; nothing is remembered between calls, so memory is None."""
         point, target = self.task.at(q, dq), self.reference(t)
         force = self.stiffness * (target.z - point.z) + self.damping * (target.dz - point.dz)  # [N]

@@ -2,10 +2,10 @@
 
 import sys
 
-from eos_pin.applications import planar_chain
-from eos_pin.cli import run
-from eos_pin.encounters import encounter
-from eos_pin.report import Output
+from eos_pin.cli.main import run
+from eos_pin.cli.output import Output
+from eos_pin.paper.obstacle_examples import planar_chain
+from eos_pin.paper.run_obstacle_example import run_obstacle_example
 
 
 def main(output: Output = Output(), margin: float = 0.3, cycles: int = 2) -> int:
@@ -23,7 +23,7 @@ def main(output: Output = Output(), margin: float = 0.3, cycles: int = 2) -> int
       python scripts/example_23dof_obstacles.py --html discs.html --plot discs.pdf
     """
     title = "23 joints, 20 degrees of redundancy, 3 discs"
-    return encounter(planar_chain(margin=margin, cycles=cycles), output, title)
+    return run_obstacle_example(planar_chain(margin=margin, cycles=cycles), output, title)
 
 
 if __name__ == "__main__":

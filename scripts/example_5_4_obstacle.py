@@ -8,10 +8,11 @@ from typing import Annotated
 
 import tyro
 
-from eos_pin import claims, figures, paper
-from eos_pin.cli import run
-from eos_pin.exhibits import exhibit
-from eos_pin.report import Output
+from eos_pin.cli.main import run
+from eos_pin.cli.output import Output
+from eos_pin.paper import claims, figures
+from eos_pin.paper import examples as paper
+from eos_pin.paper.run_example import run_example
 
 
 def main(
@@ -41,7 +42,7 @@ def main(
         output: What to keep, and what to see.
     """
     example = paper.obstacle(cycles=cycles, gravity=gravity, offset=offset, damping=damping, rtol=rtol)
-    return exhibit(
+    return run_example(
         example,
         output,
         claims=partial(claims.obstacle_is_avoided, offset=offset),

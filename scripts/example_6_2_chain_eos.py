@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 
-from eos_pin import claims, figures, paper
-from eos_pin.cli import run
-from eos_pin.exhibits import exhibit
-from eos_pin.report import Output
+from eos_pin.cli.main import run
+from eos_pin.cli.output import Output
+from eos_pin.paper import claims, figures
+from eos_pin.paper import examples as paper
+from eos_pin.paper.run_example import run_example
 
 
 def main(
@@ -31,7 +32,7 @@ def main(
         output: What to keep, and what to see.
     """
     example = paper.chain_eos(cycles=cycles, rtol=rtol)
-    return exhibit(
+    return run_example(
         example,
         output,
         claims=claims.chain_repeats,

@@ -3,10 +3,10 @@
 import sys
 from typing import Literal
 
-from eos_pin.applications import panda
-from eos_pin.cli import run
-from eos_pin.encounters import encounter
-from eos_pin.report import Output
+from eos_pin.cli.main import run
+from eos_pin.cli.output import Output
+from eos_pin.paper.obstacle_examples import panda
+from eos_pin.paper.run_obstacle_example import run_obstacle_example
 
 
 def main(
@@ -28,7 +28,7 @@ def main(
       python scripts/example_7dof_obstacle.py --html ball.html --plot ball.pdf
     """
     title = f"Panda, {task} task, {1 if task == 'pose' else 4} degrees of redundancy, a ball beside the elbow"
-    return encounter(panda(task=task, margin=margin, cycles=cycles), output, title)
+    return run_obstacle_example(panda(task=task, margin=margin, cycles=cycles), output, title)
 
 
 if __name__ == "__main__":

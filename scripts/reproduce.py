@@ -7,12 +7,20 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from eos_pin.claims import APPLICATIONS, PLAN, claims_table, measure, obstacles_cleared, study_table, update_block
-from eos_pin.cli import run
-from eos_pin.exhibits import claim_rows, figures
-from eos_pin.files import write_atomically
-from eos_pin.report import console, scene_of, stderr, write_json
-from eos_pin.results import Result
+from eos_pin._files import write_atomically
+from eos_pin.cli.main import run
+from eos_pin.cli.output import console, scene_of, stderr, write_json
+from eos_pin.paper.claims import (
+    APPLICATIONS,
+    PLAN,
+    claims_table,
+    measure,
+    obstacles_cleared,
+    study_table,
+    update_block,
+)
+from eos_pin.paper.run_example import claim_rows, figures
+from eos_pin.simulation.result import Result
 
 ROOT = Path(__file__).parent.parent
 #: Tolerances at which every claim is measured, to tell physics from errors of integration.
@@ -96,9 +104,9 @@ def simulate(label: str, name: str, rtol: float | None) -> Result:
 
 def avoid(name: str, out: Path | None) -> dict[str, Any]:
     """Run a cited application with and without making way, and draw it into a folder; its figures."""
-    from eos_pin import plots
-    from eos_pin.encounters import draw
-    from eos_pin.viewer import write_html
+    from eos_pin.paper.run_obstacle_example import draw
+    from eos_pin.plots import pages as plots
+    from eos_pin.viewer.viewer import write_html
 
     application = APPLICATIONS[name]()
     result = application.run()
@@ -114,10 +122,11 @@ def avoid(name: str, out: Path | None) -> dict[str, Any]:
 
 def draw(kind: str, path: Path, label: str, data: Any) -> None:
     """Write one replay or animation of the run `data`, or all figures of the runs `data`."""
-    from eos_pin import paper, plots
-    from eos_pin.animation import write_gif
-    from eos_pin.figures import paper_figures
-    from eos_pin.viewer import write_html
+    from eos_pin.paper import examples as paper
+    from eos_pin.paper.animation import write_gif
+    from eos_pin.paper.figures import paper_figures
+    from eos_pin.plots import pages as plots
+    from eos_pin.viewer.viewer import write_html
 
     path.parent.mkdir(parents=True, exist_ok=True)
     if kind == "figures":

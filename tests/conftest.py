@@ -72,10 +72,12 @@ def unchecked():
 def build(request, monkeypatch):
     """With what is compiled, and without."""
     if request.param == "plain":
-        from eos_pin import driving, limits, loop
-        from eos_pin.compiled import ORIGINALS
+        from eos_pin._kernels.dispatch import REFERENCES
+        from eos_pin.control import _regularize as driving
+        from eos_pin.control import limited as limits
+        from eos_pin.control import loop
 
         for module in (driving, limits):
             monkeypatch.setattr(module, "kernels", None)
-        for name in ("Watch", "surely_within"):
-            monkeypatch.setattr(loop, name, ORIGINALS[name])
+        for name in ("StateMonitor", "within_limits_fast"):
+            monkeypatch.setattr(loop, name, REFERENCES[name])

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eos_pin.arrays import number, readonly, spread, vector
+from eos_pin._arrays import broadcast, frozen_copy, number, vector
 from eos_pin.errors import InputError
 
 
 def test_readonly_is_a_copy_that_nobody_can_write():
     original = np.arange(3)
-    copy = readonly(original)
+    copy = frozen_copy(original)
     original[0] = 7
     np.testing.assert_array_equal(copy, [0.0, 1.0, 2.0])
     assert copy.dtype == float
@@ -35,7 +35,7 @@ def test_every_kind_of_real_number_is_a_number(value, unchecked):
     assert number(value, "x") == 1.0
     assert type(number(value, "x")) is float
     np.testing.assert_array_equal(vector([value, value], 2, "x"), [1.0, 1.0])
-    np.testing.assert_array_equal(spread(value, 3, "x"), [1.0, 1.0, 1.0])
+    np.testing.assert_array_equal(broadcast(value, 3, "x"), [1.0, 1.0, 1.0])
 
 
 @pytest.mark.parametrize(
@@ -66,11 +66,11 @@ def test_vector_of_any_length_still_has_one_dimension(unchecked):
 
 
 def test_spread_takes_one_number_or_as_many_as_needed(unchecked):
-    np.testing.assert_array_equal(spread(2, 3, "kp"), [2.0, 2.0, 2.0])
-    np.testing.assert_array_equal(spread([1, 2, 3], 3, "kp"), [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(broadcast(2, 3, "kp"), [2.0, 2.0, 2.0])
+    np.testing.assert_array_equal(broadcast([1, 2, 3], 3, "kp"), [1.0, 2.0, 3.0])
     for wrong in ([1.0, 2.0], [[1.0]], np.nan, "x", None):
         with pytest.raises(InputError, match="kp must be"):
-            spread(wrong, 3, "kp")
+            broadcast(wrong, 3, "kp")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 10**400, "a", None, [1.0, 2.0], 1j])

@@ -21,7 +21,7 @@ from performance_page import page
 from sections import Effort, Section, steps
 from setting import RIGHT, Setting, both
 
-from eos_pin.compiled import ORIGINALS, kernels
+from eos_pin._kernels.dispatch import REFERENCES, kernels
 
 TINY = Effort(rounds=1, repeats=1, targets=2, robots=("panda",), steps=50, duration=0.1, runs=1)
 
@@ -154,6 +154,6 @@ def test_the_page_is_honest_about_who_is_faster() -> None:
 def test_what_is_compiled_is_timed_beside_its_original(tmp_path: Path) -> None:
     assert compiled.benchmark(rounds=1, json_file=tmp_path / "compiled.json") == 0
     found = json.loads((tmp_path / "compiled.json").read_text())
-    for name in ORIGINALS:
+    for name in REFERENCES:
         assert any(row.startswith(name) for row in found["Formulas"])
     assert {"step, position", "continuous run of 1 s, pose"} <= set(found["Whole"])

@@ -9,7 +9,13 @@ import pickle
 import pytest
 
 from eos_pin import errors
-from eos_pin.errors import EosError, InverseError, SingularError, UnknownNameError, suggest
+from eos_pin.errors import (
+    EosError,
+    InverseError,
+    SingularError,
+    UnknownNameError,
+    suggest,
+)
 
 CLASSES = [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if issubclass(kind, Exception)]
 EXAMPLES = [
@@ -28,10 +34,10 @@ def test_one_except_catches_all(kind):
 
 @pytest.mark.parametrize("error", EXAMPLES, ids=lambda error: type(error).__name__)
 def test_an_error_survives_pickle_and_copy(error):
-    for twin in (pickle.loads(pickle.dumps(error)), copy.copy(error)):
-        assert type(twin) is type(error)
-        assert str(twin) == str(error)
-        assert twin.__dict__ == error.__dict__
+    for use_compiled in (pickle.loads(pickle.dumps(error)), copy.copy(error)):
+        assert type(use_compiled) is type(error)
+        assert str(use_compiled) == str(error)
+        assert use_compiled.__dict__ == error.__dict__
 
 
 def test_errors_are_also_what_python_would_raise():

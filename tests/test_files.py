@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from eos_pin import OutputError
-from eos_pin.files import write_atomically
+from eos_pin._files import write_atomically
 
 #: Forks a process that saves two results in turn, kills it at a random instant, and looks at the file; many times.
 KILLER = """
@@ -29,7 +29,7 @@ noise = np.random.default_rng(0).normal(size=(2, 2000, 7))
 def result(k):
     column, none = noise[k][:, :1], np.zeros((2000, 0))
     joints = dict.fromkeys(("q", "dq", "ddq", "tau"), noise[k])
-    task = dict.fromkeys(("z", "dz", "z_ref", "error", "task_force", "given_up", "given_up_to_limits"), column)
+    task = dict.fromkeys(("z", "dz", "z_ref", "error", "task_force", "task_deficit", "deficit_from_limits"), column)
     rest = dict.fromkeys(("v", "dv", "v_ref"), none) | dict.fromkeys(("kinetic_energy", "work"), column[:, 0])
     chart = np.full(2000, k)
     return Result(t=np.arange(2000.0), **joints, **task, **rest, chart=chart, switches=np.zeros(0), message=str(k))
@@ -37,13 +37,13 @@ def result(k):
 
 both = [result(0), result(1)]
 if not atomic:
-    import eos_pin.results
+    import eos_pin.simulation.result
 
     def write_in_place(path, write):
         with open(path, "wb") as file:
             write(file)
 
-    eos_pin.results.write_atomically = write_in_place
+    eos_pin.simulation.result.write_atomically = write_in_place
 start = time.perf_counter()
 both[0].save(path)
 once = time.perf_counter() - start
@@ -114,7 +114,7 @@ def test_the_next_save_removes_what_a_killed_one_left_behind(tmp_path: Path) -> 
     path = tmp_path / "run[1].npz"
     # The process ends in the middle of a save, without a chance to clean up.
     write = "lambda file: (file.write(b'half'), os._exit(0))"
-    code = f"import os, sys; from eos_pin.files import write_atomically; write_atomically(sys.argv[1], {write})"
+    code = f"import os, sys; from eos_pin._files import write_atomically; write_atomically(sys.argv[1], {write})"
     for _ in range(2):
         subprocess.run([sys.executable, "-c", code, str(path)], check=True)
     young, old = sorted(tmp_path.iterdir())

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import eos_pin
-from eos_pin.cli import main
+from eos_pin.cli.main import main
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -22,10 +22,16 @@ def test_the_python_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert (tmp_path / "run.npz").exists()
 
 
-def test_every_module_is_on_the_map() -> None:
-    mapped = set(re.findall(r"`(\w+)`", README[README.index("## Where things are") : README.index("## Limits")]))
-    modules = {path.stem for path in Path(eos_pin.__file__).parent.glob("*.py")} - {"__init__"}
-    assert modules <= mapped, modules - mapped
+def test_map_names_every_room_and_existing_modules() -> None:
+    package = Path(eos_pin.__file__).parent
+    table = README[README.index("## Where things are") : README.index("## Limits")]
+    rooms = {path.stem for path in package.iterdir() if path.is_dir() or path.suffix == ".py"}
+    rooms = {room for room in rooms if not room.startswith("__")}
+    named = set(re.findall(r"^\| (`.*?) \|", table, re.MULTILINE))
+    assert {room for row in named for room in re.findall(r"`(\w+)`", row)} == rooms
+    for room, modules in re.findall(r"^\| `(\w+)` \|.*\|(.*)\|$", table, re.MULTILINE):
+        for module in re.findall(r"`(\w+)`", modules):
+            assert list((package / room).glob(f"{module}.*")), f"{room}/{module} is on the map, but not in the package"
 
 
 def test_every_command_and_link_exists() -> None:

@@ -38,7 +38,7 @@ ControlLoop(EosController(task, Hold(task.value(q)))).step(0.0, q, 0.0 * q)
 @pytest.mark.parametrize("words", [["--help"], ["sweep", "--help"]])
 def test_help_does_not_wait_for_the_dynamics(words):
     code = f"""
-from eos_pin.cli import main
+from eos_pin.cli.main import main
 try:
     main({words!r})
 except SystemExit:

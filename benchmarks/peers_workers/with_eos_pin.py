@@ -25,7 +25,7 @@ from eos_pin import (
     figure_eight,
     load_robot,
 )
-from eos_pin.atlas import Way
+from eos_pin.charts.atlas import Strategy
 
 
 def build(problem: Problem) -> Mapping[str, Call]:
@@ -37,11 +37,11 @@ def build(problem: Problem) -> Mapping[str, Call]:
     if problem.whole:
         path = StackedTrajectory((path, Hold(z[3:], 3)))
     gains = {"kp": problem.kp, "kd": problem.kd}
-    tight = JointLimits.of(robot, acceleration=problem.acceleration)
+    tight = JointLimits.from_robot(robot, acceleration=problem.acceleration)
     controllers: dict[str, Controller] = {
         "": EosController(task, path, **gains),
-        "within limits": LimitedEosController(task, path, period=problem.period, **gains),
-        "at limits": LimitedEosController(task, path, period=problem.period, limits=tight, **gains),
+        "within limits": LimitedEosController(task, path, control_period=problem.period, **gains),
+        "at limits": LimitedEosController(task, path, control_period=problem.period, limits=tight, **gains),
         "traditional": BASELINES["null-space-posture"](task, path, rest),
     }
 
@@ -62,7 +62,7 @@ def build(problem: Problem) -> Mapping[str, Call]:
 
         return next_step
 
-    chart, atlas = Chart.at(task, rest), Atlas(task)
+    chart, atlas = Chart.from_base(task, rest), Atlas(task)
 
     def point(target: np.ndarray) -> np.ndarray:
         return task.point(target) if problem.whole else target[:3, 3]
@@ -82,7 +82,7 @@ def build(problem: Problem) -> Mapping[str, Call]:
             return start
         return found.q[-1] if found.complete else start
 
-    def reach(ways: Sequence[Way] | None = None) -> Call:
+    def reach(ways: Sequence[Strategy] | None = None) -> Call:
         def solve(given: np.ndarray) -> np.ndarray:
             start, target = problem.split(given)
             z = target if problem.whole else target[:3, 3]

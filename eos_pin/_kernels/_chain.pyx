@@ -2,7 +2,7 @@
 """Kinematics of a tree of joints on plain arrays, and a search for joints at a task point.
 
 Every joint moves along or about the z axis of its own frame, so that a rotation touches two columns only. A placement is
-12 numbers, the rotation row by row and the position; a task point has the order of `eos_pin.tasks`.
+12 numbers, the rotation row by row and the position; a task point has the order of `eos_pin.tasks.base`.
 """
 
 from libc.math cimport INFINITY, atan2, cos, fabs, isfinite, remainder, sin, sqrt

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
 
-from eos_pin.arrays import Array
+from eos_pin._arrays import Array
 
 PartKind: TypeAlias = Literal["position", "orientation", "pose", "heading"]
 #: Number of each kind of part in the compiled kernels.

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from eos_pin._arrays import Array, JointVector, Vector
 from eos_pin._kernels import tracing
+from eos_pin._kernels.dispatch import kernels
 from eos_pin._kernels.flat import Part, chain_arguments, flat_model
 from eos_pin._kernels.plain import PlainChain, TaskFunctions
 from eos_pin._kernels.tracing import CLOSED, ENDS, Curve
-from eos_pin.arrays import Array, JointVector, Vector
-from eos_pin.compiled import kernels
 from eos_pin.errors import EosError, InputError, SingularError
 
 #: Largest difference from Pinocchio that is rounding, relative to the robot's reach and to 1 rad.

@@ -9,7 +9,13 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import lapack
 
-from eos_pin.arrays import Array, Jacobian, JointVector, TaskVector, Vector
+from eos_pin._arrays import (
+    Array,
+    Jacobian,
+    JointVector,
+    TaskVector,
+    Vector,
+)
 
 #: Damping at the start of a search: μ in μ e·e; and what is always added, lest J Jᵀ be singular.
 DAMPING, FLOOR = 0.01, 1e-14

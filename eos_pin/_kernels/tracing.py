@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from eos_pin._arrays import Array, JointVector, Vector
 from eos_pin._kernels.plain import PlainChain
-from eos_pin.arrays import Array, JointVector, Vector
 
 #: How a trace ends: back at its start; at a singularity; neither within the length that was allowed.
 CLOSED, SINGULAR, LONG = 0, 1, 2

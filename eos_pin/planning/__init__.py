@@ -1,1 +1,6 @@
-"""Planning of the self-motion: `manifold.self_motion_manifold`, `manifold.SelfMotionManifold`."""
+"""Plans in (z, v): clearance from obstacles and self-motion that avoids them."""
+
+import lazy_loader
+
+# The public names of this room are listed in `__init__.pyi`.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

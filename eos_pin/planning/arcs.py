@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from eos_pin.arrays import Array, JointVector, Vector
+from eos_pin._arrays import Array, JointVector, Vector
 from eos_pin.planning.components import TAU, Component
 
 #: A turning point this close to a limit is computed exactly before it is compared with it [rad or m].

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from eos_pin._arrays import Array, JointVector, Vector
 from eos_pin._kernels.kinematics import Kinematics
 from eos_pin._kernels.tracing import Curve
-from eos_pin.arrays import Array, JointVector, Vector
 from eos_pin.errors import InputError
 
 TAU = 2.0 * np.pi

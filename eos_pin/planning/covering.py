@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from eos_pin.arrays import Array, JointVector, Vector
-from eos_pin.charts import Chart
+from eos_pin._arrays import Array, JointVector, Vector
+from eos_pin.charts.chart import Chart
 from eos_pin.errors import SingularError
-from eos_pin.tasks import Task
+from eos_pin.tasks.base import Task
 
 #: A posture is new where no other is closer than this, in units of the resolution; neighbours are no further apart.
 CLOSEST, FURTHEST = 0.6, 1.5
@@ -42,7 +42,7 @@ class Covering:
 
     def chart(self, i: int) -> Chart:
         """Chart based at posture i."""
-        return Chart.at(self.task, self.q[i])
+        return Chart.from_base(self.task, self.q[i])
 
     @property
     def components(self) -> tuple[Int[Array, " k"], ...]:
@@ -96,7 +96,7 @@ def covering(
             complete = False
             break
         try:
-            V = Chart.at(task, q).V
+            V = Chart.from_base(task, q).V
         except SingularError:
             continue
         kept[count], count = q, count + 1

@@ -10,13 +10,20 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from eos_pin._arrays import (
+    Array,
+    JointVector,
+    Vector,
+    VectorLike,
+    frozen_copy,
+    vector,
+)
 from eos_pin._kernels.kinematics import Kinematics
-from eos_pin.arrays import Array, JointVector, Vector, VectorLike, readonly, vector
 from eos_pin.errors import InputError, SingularError
 from eos_pin.planning.arcs import Arc, arc_joints, arcs_within, clear_arcs
 from eos_pin.planning.components import Component
 from eos_pin.planning.covering import Covering, covering
-from eos_pin.tasks import Point, PointLike, Task
+from eos_pin.tasks.base import Point, PointLike, Task
 
 #: Whether a robot collides at joints.
 Collision = Callable[[JointVector], bool]
@@ -287,7 +294,7 @@ class _Search:
                     continue
                 if len(curve.q) < 2:
                     continue
-                components.append(Component(self.kinematics, readonly(self.z), curve))
+                components.append(Component(self.kinematics, frozen_copy(self.z), curve))
                 known[k:] |= components[-1].passes(Q[k:], T[k:])
                 since_new = 0
         return components, solved, since_new
@@ -309,4 +316,4 @@ def _bound(values: VectorLike, n: int) -> JointVector:
     array = np.asarray(values, dtype=float)
     if array.shape != (n,) or np.isnan(array).any():
         raise InputError(f"limits must be two vectors of {n} numbers, ±inf for none; got shape {array.shape}")
-    return readonly(array)
+    return frozen_copy(array)

@@ -1,0 +1,95 @@
+"""Array aliases and the checks every argument passes through.
+
+Values that outlive a call are read-only: a frozen dataclass around a writable array would not be frozen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from eos_pin.errors import InputError
+
+Array: TypeAlias = np.ndarray
+#: Any vector, and the vectors and matrices whose size the paper names: n joints, m task, r = n − m self-motion.
+Vector: TypeAlias = Float[np.ndarray, " k"]
+JointVector: TypeAlias = Float[np.ndarray, " n"]
+TaskVector: TypeAlias = Float[np.ndarray, " m"]
+SelfMotionVector: TypeAlias = Float[np.ndarray, " r"]
+Matrix: TypeAlias = Float[np.ndarray, "k l"]
+Jacobian: TypeAlias = Float[np.ndarray, "m n"]
+#: What a caller may hand over where a vector is meant.
+VectorLike: TypeAlias = Sequence[float] | np.ndarray
+
+
+def nearest(grid: Vector, values: Float[np.ndarray, " j"]) -> Array:
+    """Index of the entry of an increasing grid that is nearest to each value."""
+    if len(grid) < 2:
+        return np.zeros(len(values), dtype=np.int64)
+    i = np.clip(np.searchsorted(grid, values), 1, len(grid) - 1)
+    return i - (values - grid[i - 1] < grid[i] - values)
+
+
+def frozen_copy(array: Array, kind: type = float) -> Array:
+    """Read-only copy of `array`, of floats unless said otherwise; later writes to the original do not reach it."""
+    copy: Array = np.array(array, dtype=kind)
+    copy.flags.writeable = False
+    return copy
+
+
+def as_floats(values: VectorLike | Sequence[VectorLike] | float, name: str) -> Array:
+    """Float array of any shape.
+
+    Raises:
+        InputError: Not real numbers.
+    """
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name} must be numbers, got {values!r}") from error
+
+
+def vector(values: VectorLike | float, size: int | None, name: str) -> Vector:
+    """Finite float vector of `size` entries.
+
+    Args:
+        values: Numbers of any real type.
+        size: Required length, or None for any.
+        name: What the vector is, for the error message.
+
+    Raises:
+        InputError: Not numbers, wrong length, or not finite.
+    """
+    array = as_floats(values, name)
+    if array.ndim != 1 or (size is not None and array.shape[0] != size):
+        wanted = "one-dimensional" if size is None else f"{size} numbers"
+        raise InputError(f"{name} must be {wanted}, got shape {array.shape}")
+    if not np.isfinite(array).all():
+        bad = np.flatnonzero(~np.isfinite(array)).tolist()
+        raise InputError(f"{name} must be finite, got {array.tolist()} (entries {bad})")
+    return array
+
+
+def broadcast(values: VectorLike | float, size: int, name: str) -> Vector:
+    """Like `vector`, but one number stands for `size` equal ones (gains, tolerances)."""
+    array = as_floats(values, name)
+    return vector(np.full(size, array) if array.ndim == 0 else array, size, name)
+
+
+def number(value: float, name: str, *, above: float = -np.inf, at_least: float = -np.inf) -> float:
+    """Finite float; any real number type is accepted.
+
+    Raises:
+        InputError: Not a number, not finite, not greater than `above`, or less than `at_least`.
+    """
+    try:
+        result = float(value)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name} must be a number, got {value!r}") from error
+    if not np.isfinite(result) or result <= above or result < at_least:
+        bound = f" above {above:g}" if above > -np.inf else f" of at least {at_least:g}" if at_least > -np.inf else ""
+        raise InputError(f"{name} must be a finite number{bound}, got {value!r}")
+    return result

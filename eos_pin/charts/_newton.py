@@ -1,0 +1,158 @@
+"""Newton's method for u = h(z, v), and walks to where it does not converge at once; Sec. 3.6."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import lapack
+
+from eos_pin._arrays import (
+    Array,
+    Jacobian,
+    JointVector,
+    SelfMotionVector,
+    TaskVector,
+    frozen_copy,
+)
+from eos_pin._kernels.dispatch import use_compiled
+from eos_pin.charts._basis import is_odd
+from eos_pin.tasks.base import Point, Task
+
+
+class Inverse(NamedTuple):
+    """A point of the inverse kinematic map y(z, v), Eq. (13).
+
+    Attributes:
+        q: Joints [rad or m].
+        u: Coordinates h(z, v) along U.
+        B: (G'U)⁻¹ near q, a warm start for the next solve; Eq. (15).
+        iterations: Newton steps that were taken, all intermediate points included.
+        residual: Task error that is left, the largest entry [m, rad].
+    """
+
+    q: JointVector
+    u: TaskVector
+    B: Float[Array, "m m"]
+    iterations: int
+    residual: float
+
+
+def newton(
+    task: Task,
+    base: JointVector,
+    U: Float[Array, "n m"],
+    z: Point,
+    start: Inverse,
+    refresh: bool,
+    tol: float,
+    max_iterations: int,
+) -> Inverse:
+    """Solve z = G(base − U u) for u; Eq. (22). It ends early where the residual grows, with whatever it has.
+
+    Args:
+        task: The task.
+        base: Joints at u = 0, which hold the self-motion coordinates.
+        U: Directions of u, (n, m).
+        z: Task point to reach.
+        start: Where to begin: its u and its B.
+        refresh: Compute B anew for each step but the first, and but the last where it can do without; or keep that of
+            `start`.
+        tol: Largest task error that may be left [m, rad].
+        max_iterations: Most steps.
+    """
+    u, B, last, keep = start.u, start.B, math.inf, True
+    q = base - U.dot(u)
+    for iteration in range(max_iterations + 1):
+        z_q, J = (task.value(q), None) if keep else task.linearize(q)
+        error = task.minus(z_q, z)
+        residual = largest(error)
+        # A step that leads away has left the neighbourhood of convergence, perhaps the chart. NaN ends here too.
+        if residual <= tol or not residual < last:
+            break
+        # Once more with the same B the residual would fall by the same factor as before, to residual² / last.
+        if refresh and residual * residual > tol * last:
+            renewed = on_chart_inverse(task.linearize(q)[1] if J is None else J, U)
+            if renewed is None:
+                return Inverse(q, u, start.B, iteration, math.inf)
+            B = renewed
+        # A step with a new B leads to about residual³ / last²; where the same B then does for one more, no Jacobian is
+        # needed there.
+        keep = not refresh or residual**5 <= tol * last**4 < math.inf
+        last = residual
+        u, q = newton_step(base, U, u, B, error)
+    return Inverse(q, u, B, iteration, residual if residual == residual else math.inf)
+
+
+@use_compiled
+def largest(error: TaskVector) -> float:
+    """The largest entry of a task error."""
+    return max(map(abs, error.tolist()))
+
+
+@use_compiled
+def on_chart_inverse(J: Jacobian, U: Float[Array, "n m"]) -> Float[Array, "m m"] | None:
+    """B = (G'U)⁻¹, Eq. (15); None beyond the edge of the chart.
+
+    Args:
+        J: Jacobian G'.
+        U: Directions of u; det G'U > 0 at the base point, so it is positive on all of the chart.
+    """
+    LU, pivots, B, info = lapack.dgesv(J.dot(U), _identity(U.shape[1]))
+    return None if info or is_odd(LU, pivots) else B
+
+
+@use_compiled
+def newton_step(
+    base: JointVector, U: Float[Array, "n m"], u: TaskVector, B: Float[Array, "m m"], error: TaskVector
+) -> tuple[TaskVector, JointVector]:
+    """The next u and its joints; Eqs. (11), (22)."""
+    u = u + B.dot(error)
+    return u, base - U.dot(u)
+
+
+@cache
+def _identity(m: int) -> Float[Array, "m m"]:
+    """Right side of the solve for B, in the order LAPACK wants."""
+    return frozen_copy(np.eye(m)).T
+
+
+def walk(
+    task: Task,
+    start: tuple[Point, SelfMotionVector],
+    goal: tuple[Point, SelfMotionVector],
+    visit: Callable[[Point, SelfMotionVector], bool],
+    *,
+    first: float = 0.5,
+    shortest: float = 1e-3,
+) -> float:
+    """Visit points along the straight line in (z, v) from `start` to `goal`, with steps as long as succeed.
+
+    Args:
+        task: Task whose group defines the straight line of z.
+        start: Known point.
+        goal: Point to reach.
+        visit: Tries a point and says whether it was reached.
+        first: Length of the first step, as a fraction of the way.
+        shortest: Fraction of the way below which a failing step ends the walk.
+
+    Returns:
+        The fraction of the way that was reached, 1.0 if all of it.
+    """
+    (z0, v0), (z1, v1) = start, goal
+    delta = task.minus(z1, z0)
+    reached, step = 0.0, first
+    while reached < 1.0:
+        if step < shortest:
+            return reached
+        ahead = min(1.0, reached + step)
+        z, v = (z1, v1) if ahead == 1.0 else (task.plus(z0, ahead * delta), v0 + ahead * (v1 - v0))
+        if visit(z, v):
+            reached, step = ahead, 2.0 * step
+        else:
+            step *= 0.5
+    return reached

@@ -1,0 +1,146 @@
+"""Equations of motion in the extended operational coordinates w = (z, v), and Khatib's in z alone.
+
+The first kind is a true system of differential equations for the whole robot, Eqs. (25), (26), (30). The second,
+Eqs. (5)–(9), is what traditional task-space control is built on; its terms depend on all joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+
+from eos_pin._arrays import Array, JointVector, TaskVector
+from eos_pin.charts.chart import Chart, ChartPoint
+from eos_pin.errors import SingularError
+from eos_pin.robot.model import Robot
+from eos_pin.tasks.base import TaskPoint
+
+
+@dataclass(frozen=True, eq=False)
+class ExtendedDynamics:
+    """Equations of motion in w = (z, v) at one state; each term is computed when it is asked for.
+
+    Attributes:
+        robot: Robot whose inertia and gravity count.
+        point: Kinematics of the chart at the state.
+    """
+
+    robot: Robot
+    point: ChartPoint
+
+    @classmethod
+    def from_state(cls, robot: Robot, chart: Chart, q: JointVector, dq: JointVector) -> ExtendedDynamics:
+        """Equations of motion at the state (q, dq)."""
+        return cls(robot, chart.point(q, dq))
+
+    @cached_property
+    def mass(self) -> Float[Array, "n n"]:
+        """Mass matrix Hᵀ M H of w; its blocks are those of Eq. (26)."""
+        H = self.point.H
+        return H.T @ self.robot.mass(self.point.q) @ H
+
+    @cached_property
+    def bias(self) -> JointVector:
+        """Force Hᵀ(M E − R) that holds w at zero acceleration; Eq. (26)."""
+        # M E − R is the torque of the acceleration E.
+        return self.point.H.T @ self.robot.inverse_dynamics(self.point.q, self.point.dq, self.point.E)
+
+    def force(self, tau: JointVector, task_force: TaskVector | None = None) -> JointVector:
+        """Generalized force on w of joint torques and of a force F^z on the task; right side of Eq. (26).
+
+        Args:
+            tau: Joint torques F^y [N m or N].
+            task_force: Force from the environment on the task [N, N m], none by default.
+        """
+        force = self.point.H.T @ tau
+        if task_force is not None:
+            # G'H = [I, 0]: a force on the task does no work on v.
+            force[: self.point.chart.m] += task_force
+        return force
+
+    def acceleration(self, tau: JointVector, task_force: TaskVector | None = None) -> JointVector:
+        """Ddw = H⁻¹(M⁻¹(R + F^y + G'ᵀF^z) − E), without forming H, M or E; Eq. (30), corrected.
+
+        Args:
+            tau: Joint torques F^y [N m or N].
+            task_force: Force from the environment on the task [N, N m], none by default.
+        """
+        point = self.point
+        J = point.task.J
+        if task_force is not None:
+            tau = tau + J.T @ task_force
+        ddq = self.robot.forward_dynamics(point.q, point.dq, tau)
+        # H⁻¹ = [G'; Vᵀ] and −H⁻¹E = (Ġ' dq, 0)
+        return np.concatenate((J @ ddq + point.task.drift, point.chart.dv(ddq)))
+
+
+@dataclass(frozen=True, eq=False)
+class TaskSpaceDynamics:
+    """Khatib's task-space dynamics F^z = Λ ddz + μ + p at one state; Eqs. (5)–(9).
+
+    Attributes:
+        robot: Robot whose inertia and gravity count.
+        q: Joints.
+        dq: Joint velocities.
+        task: z, J, dz and drift there.
+
+    Raises:
+        SingularError: G' has not full rank, so that Λ does not exist.
+    """
+
+    robot: Robot
+    q: JointVector
+    dq: JointVector
+    task: TaskPoint
+
+    @cached_property
+    def _factor(self) -> tuple[Array, bool]:
+        return scipy.linalg.cho_factor(self.robot.mass(self.q))
+
+    @cached_property
+    def _M_inverse_Jt(self) -> Float[Array, "n m"]:
+        return scipy.linalg.cho_solve(self._factor, self.task.J.T)
+
+    @cached_property
+    def Lambda(self) -> Float[Array, "m m"]:
+        """Task-space mass matrix (G' M⁻¹ G'ᵀ)⁻¹."""
+        inverse = self.task.J @ self._M_inverse_Jt
+        values = np.linalg.eigvalsh(inverse)
+        if not values[0] > 1e-14 * values[-1]:
+            raise SingularError(
+                "the task is singular here: its mass matrix Λ does not exist. Move away from this configuration",
+                int((values > 1e-14 * values[-1]).sum()),
+                np.sqrt(np.maximum(values, 0.0)).tolist(),
+            )
+        return np.linalg.inv(inverse)
+
+    @cached_property
+    def mu(self) -> TaskVector:
+        """Centrifugal and Coriolis force −ΛG'M⁻¹S − ΛĠ'dq [N, N m]."""
+        S = self.robot.gravity(self.q) - self.robot.bias(self.q, self.dq)
+        return -self.Lambda @ (self._M_inverse_Jt.T @ S + self.task.drift)
+
+    @cached_property
+    def p(self) -> TaskVector:
+        """Gravity force −ΛG'M⁻¹Q^y [N, N m]."""
+        return self.Lambda @ (self._M_inverse_Jt.T @ self.robot.gravity(self.q))
+
+    @cached_property
+    def J_sharp(self) -> Float[Array, "n m"]:
+        """Dynamically consistent generalized inverse M⁻¹G'ᵀΛ of G'; Eq. (8), transposed."""
+        return self._M_inverse_Jt @ self.Lambda
+
+    @cached_property
+    def Nt(self) -> Float[Array, "n n"]:
+        """Projector Nᵀ = I − G'ᵀΛG'M⁻¹ of torques that do not accelerate the task; Eq. (7)."""
+        return np.eye(self.robot.n) - self.task.J.T @ self.J_sharp.T
+
+    def force(self, ddz: TaskVector) -> TaskVector:
+        """Task force Λ ddz + μ + p that causes the task acceleration ddz [N, N m]; Eq. (9)."""
+        # Λ(ddz − drift + G'M⁻¹ bias): μ and p in one.
+        bias = self.robot.bias(self.q, self.dq)
+        return self.Lambda @ (ddz - self.task.drift + self._M_inverse_Jt.T @ bias)

@@ -1,0 +1,127 @@
+"""`eos-pin ik`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eos_pin._arrays import vector
+from eos_pin._files import write_csv
+from eos_pin.cli.output import (
+    Output,
+    console,
+    format_number,
+    grid,
+    print_files,
+    say_notes,
+    scene_of,
+    show,
+    stderr,
+    write_outputs,
+)
+from eos_pin.errors import InputError
+from eos_pin.experiments.options import (
+    RobotOptions,
+    TaskOptions,
+)
+
+# What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
+if TYPE_CHECKING:
+    from eos_pin.charts.atlas import JointPath
+
+
+def ik(
+    robot: RobotOptions,
+    task: TaskOptions = TaskOptions(),
+    output: Output = Output(),
+    to: tuple[float, ...] = (),
+    v: tuple[float, ...] = (),
+    path: Path | None = None,
+) -> int:
+    """Find joints for a task point and self-motion coordinates, or along a path.
+
+    To a point the robot walks on a straight line. Where it cannot, or would end beyond its joint limits, it makes a
+    detour or, unless v is given, jumps to other joints; which of these is printed.
+
+    Args:
+        robot: Which robot.
+        task: What the robot must do; q0 is where v is 0 and the search starts.
+        output: What to keep.
+        to: Task point; by default that at q0. As many numbers as the task has axes, such as x y z [m]; for a pose x y z
+            (the orientation stays), x y z roll pitch yaw [rad], x y z qx qy qz qw, or x y z and the rotation matrix row
+            by row; for an orientation these without x y z. In a CSV file the names of the columns say which is which.
+        v: Self-motion coordinates [rad or m]; by default 0, the value at q0.
+        path: CSV file to follow instead of one point, as that of `eos-pin track`.
+
+    For example:
+
+      eos-pin ik panda --to 0.4 0.1 0.5
+      eos-pin ik panda --task pose --to 0.4 0.1 0.5 3.14 0 0 --v 0.3 --view
+      eos-pin ik panda --task pose --path poses.csv --csv joints.csv
+    """
+    from eos_pin.charts.atlas import Atlas
+    from eos_pin.experiments.path_files import path_from_csv, points_along, task_point
+    from eos_pin.simulation._recorder import joint_run
+
+    output.without("seed", reason="nothing is random here")
+    if to and path is not None:
+        raise InputError("--to and --path exclude each other: joints are found for one point, or along a path")
+    machine = robot.load()
+    say_notes(machine)
+    goal, q = task.make(machine)
+    v_goal = vector(v, machine.n - goal.m, "v") if v else None
+    found: JointPath | None
+    if path is not None:
+        curve = path_from_csv(path, goal, q)
+        say_notes(curve)
+        times = points_along(curve)
+        found = Atlas(goal).follow(q, [curve(t).z for t in times.tolist()], v=v_goal)
+        residual, message, way, joints = found.residual, found.message, "path", found.q
+    else:
+        z = task_point(goal, to, q) if to else goal.value(q)
+        reached = Atlas(goal).reach(q, z, v=v_goal, points=100)
+        residual, message, way, found = reached.residual, reached.message, reached.way, reached.path
+        # Of a jump only the end counts.
+        joints = np.linspace(q, reached.q, 101) if found is None else found.q
+        times = np.linspace(0.0, 1.0, len(joints))
+    times, end = times[: len(joints)], joints[-1] if len(joints) else q
+    figures = {
+        "status": "unreached" if message else "finished",
+        "message": message,
+        "way": way,
+        "joints": [joint.name for joint in machine.joints],
+        "q": end,
+        "task_error_max": residual,
+        "charts": len(found.charts) if found else 0,
+    }
+    rows = [
+        (joint.name, f"{value:.6f}", joint.lower, joint.upper) for joint, value in zip(machine.joints, end, strict=True)
+    ]
+    console.print(grid(f"{machine.name}: {goal!r}", ("joint", "value", "lower", "upper"), rows))
+    console.print(f"{way}, {figures['charts']} charts, task error {format_number(residual)}")
+    if message:
+        stderr.print(f"not reached: {message}", markup=False)
+    elif way == "jump":
+        stderr.print("These joints are not connected to q0 through charts: v starts anew there.")
+    outside = (joints < machine.lower) | (joints > machine.upper)
+    if outside.any() and way != "jump":
+        names = [machine.joints[i].name for i in np.flatnonzero(outside.any(axis=0))]
+        where = "at the end" if outside[-1].any() else "on the way"
+        stderr.print(f"{', '.join(names)} exceeds its limits {where}; try another v or q0.")
+    written = []
+    if output.csv is not None:
+        names = ["t", *(joint.name for joint in machine.joints)]
+        write_csv(output.csv, names, np.column_stack((times, joints)).tolist())
+        written.append(output.csv)
+    if found:
+        result = joint_run(goal, times, joints, found.z, v=found.v, chart=found.chart, message=message)
+    else:
+        result = joint_run(goal, times, joints, np.array([goal.value(row) for row in joints]), message=message)
+    written += write_outputs(replace(output, csv=None), result, machine, figures=figures)
+    if output.view:
+        show(scene_of(result, machine), result)
+    print_files(written)
+    return 1 if message else 0

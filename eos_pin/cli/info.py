@@ -1,0 +1,160 @@
+"""The command `eos-pin info`: what a robot is, what can be done with it, and what cannot, with the reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eos_pin._arrays import Array, JointVector
+from eos_pin.cli.output import (
+    Output,
+    console,
+    format_number,
+    grid,
+    print_files,
+    scene_of,
+    show,
+    write_outputs,
+)
+from eos_pin.errors import EosError, InputError, SingularError
+from eos_pin.experiments.options import PathOptions, RobotOptions, TaskOptions
+
+# What the command needs beyond its options is imported where it is used, so that `eos-pin --help` is quick.
+if TYPE_CHECKING:
+    from eos_pin.robot.model import Robot
+    from eos_pin.tasks.base import Task
+
+
+@dataclass
+class Findings:
+    """What a robot can do.
+
+    Attributes:
+        q: Joints to start from.
+        task: The task, None where it does not fit the robot.
+        z: Task point at the start.
+        sigma: Singular values of G' at the start.
+        cannot: What cannot be done, by `"task"`, `"chart"`, `"dynamics"` and `"path"`, and why.
+    """
+
+    q: JointVector
+    task: Task | None = None
+    z: Array | None = None
+    sigma: Array = field(default_factory=lambda: np.zeros(0))
+    cannot: dict[str, str] = field(default_factory=dict)
+
+
+def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output = Output()) -> int:
+    """Describe a robot: joints, limits, frames, redundancy for a task, what to try, and what cannot be done.
+
+    For example:
+
+      eos-pin info panda
+      eos-pin info path/to/robot.urdf --frame tool0 --task pose
+    """
+    from eos_pin.control.overload import gravity_overload
+    from eos_pin.robot.loading import leaf_frames
+
+    output.without("seed", "csv", reason="nothing moves here")
+    machine = robot.load()
+    found = _find_out(machine, task)
+    goal, q = found.task, found.q
+    source = "URDF text" if machine.source.lstrip().startswith("<") else machine.source
+    title = f"{machine.name}: {machine.n} joints to {machine.options['chain_to']} ({source})"
+    columns = ("joint", "kind", "lower", "upper", "velocity", "effort", "start")
+    rows = [
+        (joint.name, joint.kind, joint.lower, joint.upper, joint.velocity, joint.effort, f"{value:.3f}")
+        for joint, value in zip(machine.joints, q, strict=True)
+    ]
+    console.print(grid(title, columns, rows))
+    lines = []
+    if goal is not None:
+        r = machine.n - goal.m
+        lines.append(f"Task: {goal!r}: m = {goal.m}, redundancy r = n - m = {r}")
+        lines.append(f"Singular values of G' at the start: {', '.join(format_number(s) for s in found.sigma)}")
+        lines += ["The task takes all joints (r = 0): there is no self-motion to command"] if r == 0 else []
+    lines.append(f"Ends of branches: {', '.join(leaf_frames(machine))}")
+    lines.append(f"All frames: {', '.join(machine.frames)}")
+    lines += [f"Note: {note}" for note in (*machine.notes, *gravity_overload(machine, q))]
+    words = {"task": "No such task", "chart": "Warning", "dynamics": "No dynamics, so no control", "path": "No path"}
+    lines += [f"{words[kind]}: {reason}" for kind, reason in found.cannot.items()]
+    lines += _advice(robot, task, found)
+    for line in lines:
+        console.print(line, markup=False)
+    figures = {
+        "robot": machine.name,
+        "source": machine.source,
+        "frame": machine.options["chain_to"],
+        "n": machine.n,
+        "m": None if goal is None else goal.m,
+        "r": None if goal is None else machine.n - goal.m,
+        "joints": [vars(joint) for joint in machine.joints],
+        "start": q,
+        "z": found.z,
+        "singular_values": found.sigma,
+        "singular": found.cannot.get("chart", ""),
+        "cannot": found.cannot,
+        "frames": machine.frames,
+        "leaf_frames": leaf_frames(machine),
+        "notes": machine.notes,
+    }
+    print_files(_still(output, machine, goal, q, figures))
+    return 0
+
+
+def _find_out(robot: Robot, options: TaskOptions) -> Findings:
+    """Try one thing after the other, from kinematics to a path; each failure is kept, and none ends it."""
+    from eos_pin.charts.chart import Chart
+
+    cannot: dict[str, str] = {}
+    if robot.lacks_dynamics:
+        cannot["dynamics"] = robot.lacks_dynamics
+    try:
+        task, q = options.make(robot)
+    except InputError as error:
+        if options.q0 or options.axes:
+            # Asked for in so many words: a mistake in these is one of the caller.
+            raise
+        zero = np.clip(np.zeros(robot.n), robot.lower, robot.upper)
+        return Findings(zero, cannot={"task": str(error)} | cannot)
+    z, J = task.linearize(q)
+    found = Findings(q, task, z, np.linalg.svd(J, compute_uv=False), cannot)
+    try:
+        Chart.from_base(task, q)
+    except SingularError as error:
+        found.cannot = {"chart": str(error)} | cannot
+        return found
+    try:
+        PathOptions(path="eight" if "m" in task.units else "hold").make(task, q)
+    except EosError as error:
+        cannot["path"] = str(error)
+    return found
+
+
+def _advice(robot: RobotOptions, task: TaskOptions, found: Findings) -> list[str]:
+    """What to try, in a line; none where nothing can be done as asked."""
+    words = f"{robot.robot}{f' --frame {robot.frame}' if robot.frame else ''}"
+    words += f" --task {task.task}" if task.task != TaskOptions.task else ""
+    if found.task is None:
+        return []
+    if "dynamics" in found.cannot:
+        return [f"Try: eos-pin ik {words}"]
+    return [f"Try: eos-pin track {words}"]
+
+
+def _still(output: Output, robot: Robot, task: Task | None, q: JointVector, figures: dict[str, Any]) -> list[Path]:
+    """Files that show a robot at rest."""
+    from eos_pin.simulation._recorder import joint_run
+    from eos_pin.tasks.position import PositionTask
+
+    files = output.within(None, names={"json": "info.json", "html": "robot.html", "plot": "robot.png"})
+    # One axis fits any robot, and nothing moves.
+    shown = PositionTask(robot, robot.options["chain_to"], "z") if task is None else task
+    result = joint_run(shown, np.zeros(1), q[None], shown.value(q)[None])
+    written = write_outputs(replace(files, out=None), result, robot, figures=figures)
+    if output.view:
+        show(scene_of(result, robot), result)
+    return written

@@ -1,0 +1,57 @@
+"""The command line: `eos-pin`, and the `run` that every script shares."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+import tyro
+
+from eos_pin.cli.info import info
+from eos_pin.cli.output import (
+    console,
+    guarded,
+)
+from eos_pin.cli.sweep import sweep
+
+# What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
+if TYPE_CHECKING:
+    pass
+from eos_pin.cli.ik import ik
+from eos_pin.cli.replay import replay, robots
+from eos_pin.cli.track import compare, track
+
+
+def run(command: Callable[..., int], argv: Sequence[str] | None = None) -> int:
+    """Parse arguments, run a command, and turn what went wrong into one paragraph and an exit code.
+
+    Returns:
+        0, 1 for a run that failed, 2 for bad input, 130 for an interrupt.
+    """
+    return guarded(lambda: tyro.cli(command, args=argv, config=_STYLE))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command `eos-pin`."""
+    if list(sys.argv[1:] if argv is None else argv) == ["--version"]:
+        console.print(f"eos-pin {version('eos-pin')}")
+        return 0
+    commands = {f.__name__: f for f in (track, compare, sweep, info, ik, replay, robots)}
+    return guarded(
+        lambda: tyro.extras.subcommand_cli_from_dict(
+            commands,
+            prog="eos-pin",
+            description="Extended operational space control of redundant robots, on any URDF.",
+            args=argv,
+            config=(*_STYLE, tyro.conf.PositionalRequiredArgs, tyro.conf.FlagCreatePairsOff),
+        )
+    )
+
+
+_STYLE = (tyro.conf.OmitArgPrefixes,)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,318 @@
+"""What a run leaves behind: a table on the terminal, files, a replay in the browser."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from eos_pin._arrays import JointVector
+from eos_pin._files import write_atomically
+from eos_pin.cli.tables import fitted
+from eos_pin.cli.tables import format_number as format_number
+from eos_pin.cli.terminal import shown, spell_output
+from eos_pin.errors import EosError, InputError
+from eos_pin.experiments._interrupts import patient_interrupts
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from eos_pin.planning.clearance import Obstacle
+    from eos_pin.robot.model import Robot
+    from eos_pin.simulation._recorder import Observer
+    from eos_pin.simulation.result import Result
+    from eos_pin.trajectories.base import Trajectory
+    from eos_pin.viewer.scene import Scene
+
+
+class Terminal(Console):
+    """A console that lays text out in the letters its encoding has."""
+
+    def render_str(self, text: str, *args: Any, **kwargs: Any) -> Text:
+        return super().render_str(shown(text, self.encoding), *args, **kwargs)
+
+
+#: Where tables go; errors and progress go to stderr.
+console = Terminal(highlight=False, emoji=False)
+stderr = Terminal(stderr=True, highlight=False, emoji=False)
+
+
+@dataclass(frozen=True)
+class Output:
+    """What to keep, and what to see.
+
+    Attributes:
+        out: Folder for all files that have no path of their own.
+        json: File for the figures, machine-readable.
+        html: File for the browser replay, which plays offline.
+        plot: File for the figure (.png, .pdf or .svg).
+        csv: File for the samples as a table.
+        view: Watch the run live in the browser, in real time.
+        seed: Seed of everything random.
+    """
+
+    out: Path | None = None
+    json: Path | None = None
+    html: Path | None = None
+    plot: Path | None = None
+    csv: Path | None = None
+    view: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    seed: int = 0
+
+    def without(self, *names: str, reason: str) -> None:
+        """Refuse options that a command has no use for.
+
+        Raises:
+            InputError: One of them is given; says why it does not apply.
+        """
+        for name in names:
+            if getattr(self, name):
+                raise InputError(f"--{name} {getattr(self, name)} does not apply: {reason}")
+
+    def within(self, folder: Path | None, *, names: Mapping[str, str]) -> Output:
+        """The same with a default path below `out`, or `folder`, for every file in `names` that has none.
+
+        Args:
+            folder: Folder where `out` is not given; None for no default files then.
+            names: File name by the name of the option.
+        """
+        base = self.out or folder
+        chosen = {key: getattr(self, key) for key in ("json", "html", "plot", "csv")}
+        if base is not None:
+            chosen |= {key: chosen[key] or base / name for key, name in names.items()}
+        return Output(out=base, view=self.view, seed=self.seed, **chosen)
+
+
+@contextmanager
+def progress(
+    output: Output, robot: Robot, q: JointVector, duration: float, title: str, scene: Scene | None = None
+) -> Iterator[Observer]:
+    """Progress bar on the terminal and, if asked for, a live view in the browser.
+
+    Args:
+        output: Whether to view.
+        robot: The robot that moves.
+        q: Joints at the start.
+        duration: Length of the run [s].
+        title: What runs.
+        scene: What there is to see; just the robot by default.
+    """
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:g} s"))
+    with Progress(*columns, TimeElapsedColumn(), console=stderr, transient=True) as progress:
+        bar = progress.add_task(title, total=duration)
+        if not output.view:
+            yield lambda t, q: progress.update(bar, completed=t)
+            return
+        from eos_pin.viewer.scene import Scene
+        from eos_pin.viewer.viewer import Viewer
+
+        with Viewer(scene or Scene(robot, title=title), q) as viewer:
+            stderr.print(f"Live view: {viewer.url}")
+            if not viewer.open():
+                stderr.print("No browser opened; open the address above by hand.")
+
+            def show(t: float, q: JointVector) -> None:
+                progress.update(bar, completed=t)
+                viewer.show(t, q)
+
+            yield show
+
+
+def scene_of(result: Result, robot: Robot, obstacles: Sequence[Obstacle] = (), *, title: str = "") -> Scene:
+    """What there is to see of a run: the robot, its reference path, and the trace of the frame that follows it."""
+    from eos_pin.viewer.scene import Scene
+
+    task = result.info.get("task") or {}
+    first = task["tasks"][0] if task.get("kind") == "stacked" else task
+    frame = first.get("frame", "")
+    paths = {}
+    axes = first.get("axes", "xyz")
+    if first.get("kind") in ("position", "pose") and len(result.t) and np.isfinite(result.z_ref).all():
+        # Axes that do not count lie where the frame is.
+        tip = np.array([robot.placement(q, frame).translation for q in result.q])
+        tip[:, ["xyz".index(axis) for axis in axes]] = result.z_ref[:, : len(axes)]
+        paths["reference"] = tip
+    summary = result.summary()
+    caption = (
+        f"{result.info.get('controller', {}).get('kind', '')}: task error {format_number(summary['task_error_max'])}"
+    )
+    drift = summary["joint_drift_per_cycle"]
+    caption += f", joint drift per cycle {format_number(drift[-1])}" if drift else ""
+    used = summary["limits"]
+    caption += f"; limits {used['told']}" if math.isfinite(used["worst"]) else ""
+    traces = {"actual": frame} if frame else {}
+    return Scene(
+        robot, paths, traces, tuple(obstacles), title or f"{robot.name}: {first.get('kind', 'motion')}", caption
+    )
+
+
+def write_outputs(
+    output: Output,
+    result: Result,
+    robot: Robot | None,
+    *,
+    figures: Mapping[str, Any] | None = None,
+    obstacles: Sequence[Obstacle] = (),
+    plot: Figure | None = None,
+    title: str = "",
+) -> list[Path]:
+    """Write every file that is asked for.
+
+    Args:
+        output: What is asked for.
+        result: The run.
+        robot: The robot that moved; without it there is no replay.
+        figures: What goes into the JSON; by default the run's summary.
+        obstacles: Solids in the replay.
+        plot: Figure to save; by default the overview of the run.
+        title: Heading of the replay; by default robot and task.
+
+    Returns:
+        The files that were written.
+    """
+    written = []
+    if output.out is not None:
+        written.append(result.save(output.out / "run.npz"))
+    if output.json is not None:
+        written.append(write_json(output.json, figures or result.summary()))
+    if output.csv is not None:
+        written.append(result.to_csv(output.csv))
+    if output.plot is not None:
+        from eos_pin.plots import pages as plots
+
+        written.append(plots.save(plot or plots.overview(result, robot), output.plot))
+    if output.html is not None and robot is not None:
+        from eos_pin.viewer.viewer import write_html
+
+        written.append(write_html(output.html, scene_of(result, robot, obstacles, title=title), result.t, result.q))
+    return written
+
+
+def show(scene: Scene, result: Result) -> None:
+    """Hand a motion to the browser, which keeps it."""
+    from eos_pin.viewer.viewer import Viewer
+
+    with Viewer(scene, result.q[0]) as viewer:
+        console.print(f"Replay: {viewer.url}")
+        if not viewer.open():
+            stderr.print("No browser opened; open the address above by hand within a minute.")
+            viewer.open(wait=60.0)
+        viewer.play(result.t, result.q)
+
+
+def write_json(path: Path, figures: Mapping[str, Any]) -> Path:
+    """Write figures as JSON, where what is not a number is null."""
+    text = json.dumps(_plain(figures), indent=2, allow_nan=False) + "\n"
+    write_atomically(path, lambda file: file.write(text.encode()))
+    return path
+
+
+def print_files(files: Sequence[Path]) -> None:
+    """Say on the terminal which files were written."""
+    if files:
+        console.print("Wrote " + ", ".join(str(file) for file in files), soft_wrap=True)
+
+
+def say_notes(made: Robot | Trajectory) -> None:
+    """Say on the terminal, beside the results, what loading a robot or a path chose, changed or could not find."""
+    for note in made.notes:
+        stderr.print(f"Note: {note}", markup=False, soft_wrap=True)
+
+
+def warn_of_gravity(robot: Robot, q: JointVector) -> None:
+    """Say on the terminal where gravity takes more torque than there is.
+
+    Args:
+        robot: The robot.
+        q: Posture at the start.
+    """
+    from eos_pin.control.overload import gravity_overload
+
+    for note in gravity_overload(robot, q):
+        stderr.print(f"Note: {note}.", soft_wrap=True, markup=False)
+
+
+def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
+    """Table that fits the terminal, in the letters it has; see `eos_pin.cli.tables`."""
+
+    def spelled(cell: Any) -> Any:
+        return cell if isinstance(cell, float) else shown(str(cell), console.encoding)
+
+    return fitted(spelled(title), columns, [[spelled(cell) for cell in row] for row in rows], console.width)
+
+
+def run_table(summary: Mapping[str, Any]) -> Table:
+    """Table of what happened in one run."""
+    title = f"{summary['robot']}: {summary['frame'] or summary['task'].get('kind', '')}"
+    table = Table(title=escape(title), show_header=False)
+    for _ in range(2):
+        # A path or a name in a message may be longer than a line.
+        table.add_column(overflow="fold")
+    table.add_row("status", escape(summary["status"] + (f": {summary['message']}" if summary["message"] else "")))
+    table.add_row("joints n, task m, redundancy r", f"{summary['n']}, {summary['m']}, {summary['r']}")
+    period = f" of {summary['period']:g} s" if summary["period"] else ""
+    table.add_row("duration", f"{summary['duration']:g} s, {summary['cycles']} cycles{period}")
+    settled = f"after {summary['settled_from']:g} s"
+    table.add_row(f"task error, {settled}", f"{format_number(summary['task_error_max'])} m or rad")
+    nothing = "none: the task takes all joints (r = 0)" if summary["m"] and not summary["r"] else ""
+    table.add_row(f"self-motion error, {settled}", nothing or format_number(summary["self_motion_error_max"]))
+    drift = ", ".join(format_number(d) for d in summary["joint_drift_per_cycle"]) or "-"
+    table.add_row("joint drift, cycle by cycle", drift)
+    if any(summary["joint_turns_per_cycle"]):
+        turns = ", ".join(map(str, summary["joint_turns_per_cycle"]))
+        table.add_row("whole turns of a joint, cycle by cycle", turns)
+    table.add_row("chart switches", str(summary["chart_switches"]))
+    if summary["given_up_seconds"]:
+        table.add_row("part of the task given up", f"{format_number(summary['given_up_seconds'])} s")
+    table.add_row("kinetic energy, mean", f"{format_number(summary['kinetic_energy_mean'])} J")
+    table.add_row("largest torque or force", f"{format_number(summary['torque_max'])} N m or N")
+    table.add_row("computing time", f"{summary['cpu_seconds']:.2f} s")
+    if summary["limits"]["told"]:
+        told = escape(summary["limits"]["told"])
+        table.add_row("limits", f"[bold red]{told}[/]" if summary["limits"]["passed"] else told)
+    return table
+
+
+def guarded(command: Callable[[], int]) -> int:
+    """Exit code of a command; bad input and Ctrl-C are told in one paragraph."""
+    spell_output()
+    try:
+        with patient_interrupts():
+            return command()
+    except EosError as error:
+        stderr.print(f"[bold red]Error:[/] {escape(str(error))}", soft_wrap=True)
+        return 2
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+    except KeyboardInterrupt as interrupt:
+        stderr.print(": ".join(filter(None, ("Interrupted", str(interrupt)))), markup=False)
+        return 130
+
+
+def _plain(value: Any) -> Any:
+    """The same in types JSON has; not-a-number and infinity become null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value

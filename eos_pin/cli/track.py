@@ -1,0 +1,151 @@
+"""`eos-pin track` and `eos-pin compare`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eos_pin.cli.output import (
+    Output,
+    console,
+    grid,
+    print_files,
+    progress,
+    run_table,
+    say_notes,
+    warn_of_gravity,
+    write_outputs,
+)
+from eos_pin.experiments.options import (
+    ControllerName,
+    ControlOptions,
+    PathOptions,
+    RobotOptions,
+    RunOptions,
+    TaskOptions,
+    check_options,
+)
+
+# What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
+if TYPE_CHECKING:
+    from eos_pin.simulation.result import Result
+
+
+def track(
+    robot: RobotOptions,
+    task: TaskOptions = TaskOptions(),
+    path: PathOptions = PathOptions(),
+    control: ControlOptions = ControlOptions(),
+    simulation: RunOptions = RunOptions(),
+    output: Output = Output(),
+) -> int:
+    """Make a robot follow a path under EOS control; print, save and replay what happened.
+
+    Files go to runs/ROBOT-TASK unless --out says otherwise: run.npz, summary.json, replay.html, overview.png.
+
+    For example:
+
+      eos-pin track panda
+      eos-pin track panda --task pose --swing 0.5 --view
+      eos-pin track path/to/robot.urdf --frame tool0 --path circle --size 0.1 --cycles 5
+      eos-pin track panda --control-rate 1000 --noise 1e-5 --model-error 0.1 --torque-limits
+    """
+    check_options(path, control, simulation, seed=output.seed)
+    machine = robot.load()
+    say_notes(machine)
+    goal, q = task.make(machine)
+    reference = path.make(goal, q)
+    say_notes(reference)
+    controller = control.make(goal, reference, q, simulation.control_period)
+    duration = path.length(reference)
+    warn_of_gravity(machine, q)
+    with progress(output, machine, q, duration, f"{machine.name}, {task.task}") as observer:
+        result = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer)
+    names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
+    files = output.within(Path("runs") / f"{Path(robot.robot).stem}-{task.task}", names=names)
+    console.print(run_table(result.summary()))
+    print_files(write_outputs(files, result, machine))
+    return 0 if result.ok else 1
+
+
+def compare(
+    robot: RobotOptions,
+    task: TaskOptions = TaskOptions(),
+    path: PathOptions = PathOptions(),
+    simulation: RunOptions = RunOptions(),
+    output: Output = Output(),
+    controllers: tuple[ControllerName, ...] = (
+        "eos",
+        "task-space",
+        "null-space-damping",
+        "null-space-posture",
+        "set-point",
+    ),
+) -> int:
+    """Compare EOS control with traditional controllers on the same robot and path: a table and a figure.
+
+    Args:
+        robot: Which robot.
+        task: What the robot must do.
+        path: Where it should go.
+        simulation: How it is simulated.
+        output: What to keep.
+        controllers: Which controllers, the first one in the replay.
+
+    For example:
+
+      eos-pin compare panda
+      eos-pin compare panda --task pose --controllers eos null-space-posture --cycles 10
+    """
+    check_options(path, simulation, seed=output.seed)
+    machine = robot.load()
+    say_notes(machine)
+    goal, q = task.make(machine)
+    reference = path.make(goal, q)
+    say_notes(reference)
+    duration = path.length(reference)
+    results: dict[str, Result] = {}
+    for kind in controllers:
+        controller = ControlOptions(kind).make(goal, reference, q, simulation.control_period)
+        with progress(output, machine, q, duration, f"{machine.name}: {kind}") as observer:
+            results[kind] = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer)
+    summaries = {name: result.summary() for name, result in results.items()}
+    rows = []
+    for name, summary in summaries.items():
+        drift = summary["joint_drift_per_cycle"] or [np.nan]
+        quantities = (
+            summary["task_error_max"],
+            drift[0],
+            drift[-1],
+            summary["kinetic_energy_mean"],
+            summary["torque_max"],
+            summary["limit_ratio_max"],
+        )
+        rows.append((name, summary["status"], *quantities))
+    columns = (
+        "controller",
+        "status",
+        "task error",
+        "first drift",
+        "last drift",
+        "mean energy",
+        "max torque",
+        "of limits",
+    )
+    console.print(grid(f"{machine.name}: {goal!r}", columns, rows))
+    for name, summary in summaries.items():
+        if summary["message"]:
+            console.print(f"{name}: {summary['message']}", markup=False)
+        if summary["limits"]["passed"]:
+            console.print(f"{name}: limits {summary['limits']['told']}", markup=False)
+    names = {"json": "summary.json", "plot": "comparison.png"}
+    files = output.within(Path("runs") / f"{Path(robot.robot).stem}-compare", names=names)
+    from eos_pin.plots import pages as plots
+
+    written = [result.save(files.out / f"{name}.npz") for name, result in results.items() if files.out]
+    first, wanted = results[controllers[0]], replace(files, out=None)
+    print_files(written + write_outputs(wanted, first, machine, figures=summaries, plot=plots.comparison(results)))
+    return 0 if first.ok else 1

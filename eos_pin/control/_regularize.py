@@ -1,0 +1,174 @@
+"""Joint accelerations from commanded accelerations of (z, v), kept bounded and continuous near task singularities."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.linalg import lapack
+
+from eos_pin._arrays import (
+    Jacobian,
+    JointVector,
+    SelfMotionVector,
+    TaskVector,
+)
+from eos_pin._kernels.dispatch import kernels
+from eos_pin.charts._basis import DENSE
+from eos_pin.charts.chart import DENSE_SOLVE, EDGE, Chart
+from eos_pin.errors import ChartError
+from eos_pin.tasks.base import Task
+from eos_pin.tasks.frame import FrameTask
+from eos_pin.trajectories.base import Hold, Trajectory
+
+#: Below this singular value a direction fades out of a control law: 0.05 of the robot's reach per radian.
+SINGULAR_VALUE_FLOOR = 0.05
+#: Joint speed beyond which directions fade out earlier: the length of dq [rad/s or m/s].
+FAST_SPEED = 4.0
+#: Rate at which motion in a direction that fades out is braked [1/s]; more for joints faster than that, in proportion.
+BRAKING_RATE = 20.0
+#: Joint speed that no self-motion is meant to have: the length of dq. Beyond it self-motion is braked, at this rate for
+#: each rad/s more; charts that follow each other faster than v is damped would make it grow without end [rad/s, 1].
+OVERSPEED, OVERSPEED_DAMPING = 16.0, 10.0
+
+
+def speed_ratio_squared(dq: JointVector) -> float:
+    """Square of how many times faster than FAST the joints move; at least 1."""
+    squared = dq.dot(dq)
+    return 1.0 if squared < FAST_SPEED**2 else squared / FAST_SPEED**2
+
+
+def damped_system(J: Jacobian, b: TaskVector, dq: JointVector) -> tuple[Jacobian, TaskVector]:
+    """Y and c such that Y x = c says J x = b as far as it can without trouble, for accelerations x of joints that move.
+
+    The rows of Y are orthonormal, so that x = Yᵀ c is the solution where J is square. A singular value s of J below ε
+    counts as s/ε² instead of 1/s, so that its direction fades out, and braking −β dq takes its place by the part
+    1 − s²/ε²; above ε nothing is changed. So x is bounded and continuous where J loses rank. ε and β are
+    SINGULAR_VALUE_FLOOR and BRAKING, and grow in proportion to the speed of joints that are faster than FAST: Coriolis
+    terms grow with the square of the speed, and as ε² does so too, what remains of them is bounded while the braking
+    grows.
+
+    Args:
+        J: Jacobian, its rows weighted so that singular values compare.
+        b: Right side, weighted likewise.
+        dq: Joint velocities.
+    """
+    X, s, Y = np.linalg.svd(J, full_matrices=False)
+    speed = math.sqrt(speed_ratio_squared(dq))
+    epsilon, beta = speed * SINGULAR_VALUE_FLOOR, speed * BRAKING_RATE
+    kept = np.minimum((s / epsilon) ** 2, 1.0)
+    gain = np.minimum(s / epsilon**2, 1.0 / np.maximum(s, epsilon))
+    return Y, gain * (X.T @ b) - (1.0 - kept) * beta * (Y @ dq)
+
+
+class AccelerationMap:
+    """Joint accelerations of a control law on a chart.
+
+    They are those of `Chart.acceleration`, but directions of the task that are being lost fade out of the law and are
+    braked, see `eos_pin.control._regularize.damped_system`; and so is self-motion of joints that are about to run away.
+
+    Args:
+        chart: The chart.
+        smooth: Whether both is done; if not, singularities and speeds are the caller's business.
+    """
+
+    def __init__(self, chart: Chart, *, smooth: bool = True) -> None:
+        self.chart, self.smooth = chart, smooth
+        robot = chart.task.robot
+        # Unit of each row of G', so that singular values compare: metres are measured in reaches.
+        self._units = np.array([robot.reach if unit == "m" else 1.0 for unit in chart.task.units])
+        self._nothing = np.zeros(chart.n)
+        #: Square of the size of U B from which directions may fade.
+        self.most = 1.0 / (SINGULAR_VALUE_FLOOR * float(self._units.max(initial=1.0))) ** 2
+
+    @cached_property
+    def _compiled(self) -> Any:
+        # For many joints products with a basis that is not written out are cheaper.
+        return kernels.AccelerationMap(*self._made_from) if kernels and self.chart.n <= DENSE else None
+
+    @property
+    def _made_from(self) -> tuple[Any, ...]:
+        runaway = OVERSPEED if self.smooth else math.inf
+        return self.chart.Vt, self.chart.row_basis.T, self.most, FAST_SPEED, runaway, OVERSPEED_DAMPING
+
+    def __call__(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
+        """Joint acceleration, and a lower bound of the chart's margin that is got on the way, 0 if none is.
+
+        Args:
+            J: Jacobian G'(q).
+            F: Acceleration asked of w = (z, v), the task's part without its drift, (n,).
+            dq: Joint velocities, to be braked.
+
+        Raises:
+            ChartError: [G'; Vᵀ] is singular, and nothing fades.
+        """
+        driven = None if self._compiled is None else self._compiled(J, F, dq)
+        return self._reference(J, F, dq) if driven is None else driven
+
+    def tracking_law(
+        self, kp: TaskVector, kd: TaskVector, kp_v: SelfMotionVector, kd_v: SelfMotionVector, v_d: Trajectory
+    ) -> Any:
+        """This, and `EosController.asked` for self-motion that is held at v_d, in one; None if that is not compiled.
+
+        Args:
+            kp: Gain on the task error, (m,).
+            kd: Gain on the task's velocity error, (m,).
+            kp_v: Gain on v, (r,).
+            kd_v: Gain on dv, (r,).
+            v_d: Where v is held.
+        """
+        # A Hold of one's own kind may move.
+        if self._compiled is None or type(v_d) is not Hold:
+            return None
+        task = self.chart.task
+        at = (isinstance(task, FrameTask) and type(task).at is FrameTask.at and task.compiled) or task.at
+        minus = None if type(task).minus is Task.minus else task.minus
+        held = v_d.z + self.chart.basis.project(self.chart.q_bar) - self.chart.v_bar
+        return kernels.TrackingLaw(*self._made_from, kp, kd, kp_v, kd_v, held, at, minus)
+
+    def margin(self, J: Jacobian, enough: float) -> float:
+        """`Chart.margin`, or a lower bound of it that exceeds `enough`."""
+        nothing = self._nothing
+        driven = None if self._compiled is None else self._compiled(J, nothing, nothing)
+        return driven[1] if driven is not None and driven[1] > enough else self.chart.margin(J, enough=enough)
+
+    def _reference(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
+        """The same, without what is compiled."""
+        n, m = self.chart.n, self.chart.m
+        speed = math.sqrt(dq.dot(dq))
+        if self.smooth and speed > OVERSPEED:
+            F = np.concatenate((F[:m], F[m:] - OVERSPEED_DAMPING * (speed - OVERSPEED) * self.chart.dv(dq)))
+        A, b, lifted = self.chart.system(J, F)
+        LU, pivots, info = lapack.dgetrf(A)
+        H, singular = lapack.dgetri(LU, pivots, overwrite_lu=1)
+        # H = [U B, D] column by column; beyond DENSE_SOLVE it has no D.
+        flat, cut = H.T.ravel(), m * b.size
+        UB, D = flat[:cut], flat[cut:]
+        if info or singular or not UB.dot(UB) * speed_ratio_squared(dq) < self.most:
+            # The least singular value of G' is at least 1 / |U B|, so the law never fades too late.
+            if self.smooth:
+                # A trial state of an integrator may be beyond all numbers; the torque says so.
+                finite = math.isfinite(J.sum()) and math.isfinite(dq.dot(dq))
+                return self._faded(J, F, dq) if finite else np.full(n, math.nan), 0.0
+            if info or singular:
+                raise ChartError(EDGE)
+        if lifted is not None:
+            return lifted + self.chart.row_basis.dot(H.dot(b)), 0.0
+        # The singular values of D are the inverse cosines of the angles that `margin` speaks of; all are at least 1, so
+        # the largest is at most what their squares leave beyond the others.
+        return H.dot(b), 1.0 / math.sqrt(max(D.dot(D) - n + m + 1.0, 1.0))
+
+    def _faded(self, J: Jacobian, F: JointVector, dq: JointVector) -> JointVector:
+        """The acceleration where the task may be singular."""
+        chart = self.chart
+        m, Q = chart.m, chart.row_basis
+        Y, c = damped_system(J / self._units[:, None], F[:m] / self._units, dq)
+        # Once more for the self-motion: a chart that is worn and cannot be renewed, and joints far too fast.
+        if chart.n <= DENSE_SOLVE:
+            X, x = damped_system(np.vstack((Y, chart.Vt)), np.concatenate((c, F[m:])), dq)
+            return X.T @ x
+        lifted = chart.basis.apply(F[m:])
+        X, x = damped_system(Y @ Q, c - Y @ lifted, Q.T @ dq)
+        return lifted + Q @ (X.T @ x)

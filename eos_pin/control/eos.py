@@ -1,0 +1,239 @@
+"""`EosController`: computed torque in extended operational space, Secs. 5.2 to 6.2."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from eos_pin._arrays import (
+    Jacobian,
+    JointVector,
+    TaskVector,
+    VectorLike,
+    frozen_copy,
+    vector,
+)
+from eos_pin.charts.atlas import Atlas
+from eos_pin.charts.chart import Chart
+from eos_pin.control._regularize import AccelerationMap
+from eos_pin.control.base import TaskController
+from eos_pin.control.objectives import Objective, Track
+from eos_pin.control.state import ControlReport, EosState
+from eos_pin.errors import InputError, SingularError
+from eos_pin.tasks.base import Task, TaskPoint
+from eos_pin.trajectories.base import Target, Trajectory
+
+
+class EosController(TaskController):
+    """Computed torque in extended operational space: task and self-motion on laws of their own.
+
+    F^y = M(H F* + E) − R, Eqs. (35), (44), with the task part of F* from Eqs. (36), (45) and its self-motion part from
+    an objective. H F* + E is the acceleration ddq that solves [G'; Vᵀ] ddq = (F_z − Ġ'dq, F_v), so the torque is
+    the inverse dynamics of it and no mass matrix is formed. With an exact model, task and self-motion errors obey
+    ε̈ + kd ε̇ + kp ε = 0 independently of each other.
+
+    Near a singularity of the task the direction that is being lost is given up by degrees and braked there, so that the
+    torque stays bounded and continuous; it is taken up again as the rank returns. `task_deficit` says how much is lost.
+    Where the chart changes the torque is continuous, too: what the law then asks of v, it gets within 1/20 s.
+
+    Args:
+        task: The task.
+        reference: Trajectory of the task.
+        self_motion: What the self-motion should do; by default hold v at its value at the start.
+        kp: Gain on the task error, one number or (m,) [1/s²].
+        kd: Gain on the task's velocity error, one number or (m,) [1/s].
+        feedforward: Whether dz and ddz of the reference are used.
+        gravity: Whether the controller compensates gravity.
+        atlas: Rule by which charts follow each other; by default that of `Atlas(task)`.
+        smooth: Whether the torque is kept bounded and continuous. Without, the law is the paper's to the last: it jumps
+            with dv where the chart changes, and ends where the task is singular.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        reference: Trajectory,
+        self_motion: Objective | None = None,
+        *,
+        kp: float | VectorLike = 100.0,
+        kd: float | VectorLike = 20.0,
+        feedforward: bool = True,
+        gravity: bool = True,
+        atlas: Atlas | None = None,
+        smooth: bool = True,
+    ) -> None:
+        super().__init__(task, reference, kp=kp, kd=kd, feedforward=feedforward, gravity=gravity)
+        self.smooth = smooth
+        self._rest, self._unchanged = frozen_copy(np.zeros(task.m)), frozen_copy(np.zeros(task.robot.n))
+        self._turns = task.robot.turns
+        self._renewed: tuple[Any, Any] = (None, None)
+        self.self_motion = self_motion or Track()
+        self.atlas = atlas or Atlas(task)
+
+    def _accepted(self, name: str, value: Any) -> Any:
+        if name == "atlas" and value.task is not self.task:
+            raise InputError("the atlas of an EosController must be of the controller's own task object")
+        if name == "self_motion" and hasattr(self, name):
+            value.check(self.robot.n, self.robot.n - self.task.m)
+        return super()._accepted(name, value)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        # A copy is not yet known to its objective.
+        self.renew()
+
+    def start(self, t: float, q: JointVector, dq: JointVector) -> EosState:
+        chart = self.atlas.start(q)
+        self._check_objective(t, q, dq, chart)
+        return self._memory(chart, 0)
+
+    def take_over(self, t: float, q: JointVector, dq: JointVector, state: Any) -> EosState:
+        """As for any controller; but for the same task on the same robot the chart stays, and with it what v means."""
+        if not isinstance(state, EosState) or (
+            state.chart.task is not self.task
+            and (state.chart.task.robot, state.chart.task.describe()) != (self.robot, self.task.describe())
+        ):
+            return self.start(t, q, dq)
+        chart = state.chart if state.chart.task is self.task else replace(state.chart, task=self.task)
+        self._check_objective(t, q, dq, chart)
+        return replace(state, **self._made(chart))
+
+    def _check_objective(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> None:
+        """Refuse a wrong shape of v_d or of its gains here, not in the middle of a run."""
+        try:
+            F_v = self.self_motion.acceleration(t, q, dq, chart)
+        except ValueError as error:
+            raise InputError(f"the self-motion objective does not fit this robot and task: {error}") from error
+        vector(F_v, chart.r, f"what {type(self.self_motion).__name__} asks of the self-motion")
+
+    def _memory(self, chart: Chart, number: int) -> EosState:
+        return EosState(number=number, **self._made(chart))
+
+    def _made(self, chart: Chart) -> dict[str, Any]:
+        """What a memory holds of gains, targets and the chart."""
+        drive, track, law = AccelerationMap(chart, smooth=self.smooth), self.self_motion, None
+        # A law of one's own is used as it is.
+        if type(track) is Track and type(self).task_acceleration is TaskController.task_acceleration:
+            law = drive.tracking_law(self.kp, self.kd, *track.law(chart.r))
+            track.users.add(self)
+        return {"drive": drive, "law": law, "made_of": self._version}
+
+    def _current(self, state: EosState) -> EosState:
+        """The same memory, made anew where it was made of other gains or another target than there are now."""
+        if state.made_of is self._version:
+            return state
+        if state.chart.task is not self.task:
+            raise InputError(
+                "this memory is of a controller with another task object; take_over(t, q, dq, memory) makes one of it"
+            )
+        before, renewed = self._renewed
+        if before is not state or renewed.made_of is not self._version:
+            renewed = replace(state, **self._made(state.chart))
+            self._renewed = state, renewed
+        return renewed
+
+    def torque(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> JointVector:
+        q = state.chart.unwrap(q)
+        ddq, _, J = self._drive(t, q, dq, self._current(state))
+        return self._within(q, dq, ddq, J)[0]
+
+    def _drive(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> tuple[JointVector, float, Jacobian]:
+        """H F* + E, a bound of the chart's margin, and G'; near a singularity as `AccelerationMap` bounds it."""
+        more = None if state.carried is None else state.left(t, dq)
+        if state.law is not None:
+            z_d, dz_d, ddz_d = self.reference(t)
+            if not self.feedforward:
+                dz_d = ddz_d = self._rest
+            driven = state.law(q, dq, z_d, dz_d, ddz_d, more)
+            if driven is not None:
+                return driven
+        point = self.task.at(q, dq)
+        F = self.asked(t, q, dq, state.chart, point)
+        if more is not None:
+            F[point.dz.size :] += more
+        return *state.drive(point.J, F, dq), point.J
+
+    def asked(self, t: float, q: JointVector, dq: JointVector, chart: Chart, point: TaskPoint) -> JointVector:
+        """F* less the task's drift: (F_z − Ġ'dq, F_v), (n,); Eqs. (36), (45)."""
+        F_z = self.task_acceleration(t, point) - point.drift
+        return np.concatenate((F_z, self.self_motion.acceleration(t, q, dq, chart)))
+
+    def _within(
+        self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
+    ) -> tuple[JointVector, JointVector]:
+        """M ddq − R, Eq. (35), and what limits change in ddq on average over a period; nothing here."""
+        return self._model.inverse_dynamics(q, dq, ddq), self._unchanged
+
+    def task_deficit(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> TaskVector:
+        found = self.evaluate(t, q, dq, state)
+        return found.deficit_from_singularity + found.deficit_from_limits
+
+    def evaluate(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> ControlReport:
+        """The torque at a state, and what it is made of, for the record of a run."""
+        q = state.chart.unwrap(q)
+        ddq, margin, J = self._drive(t, q, dq, self._current(state))
+        tau, change = self._within(q, dq, ddq, J)
+        singular = self._rest
+        # Where a direction fades no bound of the margin comes with the acceleration.
+        if margin <= 0.0:
+            point = self.task.at(q, dq)
+            singular = self.task_acceleration(t, point) - J.dot(ddq) - point.drift
+        limited = self._rest if change is self._unchanged else -J.dot(change)
+        return ControlReport(tau, self.task.value(q), J.dot(dq), singular, limited)
+
+    def validity(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> float:
+        _, J = self.task.linearize(q)
+        state = self._current(state)
+        try:
+            margin = state.drive.margin(J, self.atlas.threshold) - self.atlas.threshold
+            return min(margin, state.chart.room(q)) if self._turns else margin
+        except SingularError:
+            # No chart can be made here; the one there is serves until the task has full rank again.
+            return 1.0
+
+    def update(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> EosState:
+        q = state.chart.unwrap(q)
+        try:
+            chart = self.atlas.next(state.chart, q)
+        except SingularError:
+            return state
+        following = self._memory(chart, state.number + 1)
+        if not self.smooth:
+            return following
+        # dv is another on the new chart, and so is what the law asks of it; the difference is forgotten by and by.
+        ddq, _, _ = self._drive(t, q, dq, self._current(state))
+        F = self.asked(t, q, dq, chart, self.task.at(q, dq))
+        return replace(following, since=t, carried=chart.dv(ddq) - F[chart.m :])
+
+    def step(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> tuple[JointVector, EosState]:
+        if state.made_of is not self._version:
+            state = self._current(state)
+        turned = self._turns and not state.chart.is_near(q)
+        if turned:
+            q, turned = state.chart.unwrap(q), state.chart.room(q) <= 0.0
+        ddq, margin, J = self._drive(t, q, dq, state)
+        # The bound that comes with the acceleration saves the chart's exact margin nearly always.
+        if turned or (margin <= self.atlas.threshold and not self._holds(state.chart, J)):
+            state = self.update(t, q, dq, state)
+            ddq, _, J = self._drive(t, q, dq, state)
+        return self._within(q, dq, ddq, J)[0], state
+
+    def _holds(self, chart: Chart, J: Jacobian) -> bool:
+        """Whether the chart serves; where no chart can be made, the one there is does."""
+        try:
+            return self.atlas.holds(chart, J)
+        except SingularError:
+            return True
+
+    def describe(self) -> dict[str, Any]:
+        return super().describe() | {
+            "self_motion": type(self.self_motion).__name__,
+            "threshold": self.atlas.threshold,
+            "smooth": self.smooth,
+        }
+
+    def self_motion_target(self, t: float, state: EosState) -> Target | None:
+        """Self-motion that is tracked at time t; None if the objective tracks none."""
+        return self.self_motion.target(t, state.chart.r)

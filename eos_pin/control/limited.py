@@ -1,0 +1,355 @@
+"""`LimitedEosController`: EOS control that keeps joint position, velocity, acceleration and torque limits.
+
+The torque of EOS control is used wherever it keeps all limits. Elsewhere a quadratic program changes the acceleration
+the least, and in a way that the task feels only where no sensible self-motion keeps the limits. Position limits are
+kept by viability: a joint is never allowed a speed from which it could not stop. The torque is bounded, and a
+continuous function of the state: limits are approached smoothly, and nothing is ever switched over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from eos_pin._arrays import (
+    Array,
+    Jacobian,
+    JointVector,
+    Vector,
+    VectorLike,
+    broadcast,
+    frozen_copy,
+    number,
+)
+from eos_pin._kernels.dispatch import kernels
+from eos_pin.charts.atlas import Atlas
+from eos_pin.control._smallest_change import SmallestChange
+from eos_pin.control.eos import EosController
+from eos_pin.control.objectives import Objective
+from eos_pin.control.overload import gravity_overload
+from eos_pin.errors import InputError
+from eos_pin.robot.model import Robot
+from eos_pin.tasks.base import Task
+from eos_pin.trajectories.base import Trajectory
+
+#: Rate at which a joint closes in on a limit of position or velocity [1/s].
+RATE = 100.0
+#: Position limits are kept this distance off, times the period squared: 1e-5 rad at 1 kHz. It covers what the motion
+#: over a period differs from its prediction, which falls with the square of the period, too [rad/s² or m/s²].
+ROOM = 10.0
+#: A limit counts as passed beyond this: of position [rad or m], and of velocity, as a part of it.
+POSITION, VELOCITY = 1e-5, 1e-3
+#: A torque counts as used up from this part of its limit on; and time before a limit is passed that tells why [s].
+USED_UP, BEFORE = 0.999, 0.05
+#: Where each joint may be accelerated by this much more than it is, limits are not looked at more closely
+#: [rad/s² or m/s²].
+CLEAR = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimits:
+    """What every joint must keep; infinite where there is no limit.
+
+    Attributes:
+        lower: Lower positions [rad or m].
+        upper: Upper positions [rad or m].
+        velocity: Largest speeds [rad/s or m/s].
+        acceleration: Largest accelerations [rad/s² or m/s²].
+        braking: Decelerations with which every joint can be stopped at any time [rad/s² or m/s²].
+        torque: Largest torques or forces [N m or N].
+    """
+
+    lower: JointVector
+    upper: JointVector
+    velocity: JointVector
+    acceleration: JointVector
+    braking: JointVector
+    torque: JointVector
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper", "velocity", "acceleration", "braking", "torque"):
+            object.__setattr__(self, name, frozen_copy(getattr(self, name)))
+
+    @classmethod
+    def from_robot(
+        cls,
+        robot: Robot,
+        *,
+        velocity: float | VectorLike | None = None,
+        acceleration: float | VectorLike | None = None,
+        braking: float | VectorLike | None = None,
+        torque: float | VectorLike | None = None,
+        position_margin: float = 0.0,
+    ) -> JointLimits:
+        """Limits of a robot, as its URDF has them.
+
+        Args:
+            robot: The robot.
+            velocity: Velocity limits instead of the robot's own.
+            acceleration: Acceleration limits; a URDF has none.
+            braking: Sure decelerations; by default what `guaranteed_deceleration` finds the torque limits to allow.
+            torque: Torque limits instead of the robot's own.
+            position_margin: Distance kept from the position limits [rad or m].
+
+        Raises:
+            InputError: A limit is not positive, or the margin leaves no room.
+        """
+        margin = number(position_margin, "the margin of the position limits", at_least=0.0)
+        lower, upper = robot.lower + margin, robot.upper - margin
+        if (lower >= upper).any():
+            raise InputError(f"a margin of {margin:g} leaves no room between the position limits of {robot.name!r}")
+
+        def chosen(given: float | VectorLike | None, name: str, own: JointVector) -> JointVector:
+            values = own if given is None else broadcast(given, robot.n, f"the {name} limits")
+            if not (values > 0.0).all():
+                raise InputError(f"the {name} limits must be positive, got {values.tolist()}")
+            return frozen_copy(values)
+
+        most_torque = chosen(torque, "torque", robot.effort)
+        most = chosen(acceleration, "acceleration", np.full(robot.n, np.inf))
+        sure = guaranteed_deceleration(robot, most_torque) if braking is None else robot.lower
+        return cls(
+            lower=frozen_copy(lower),
+            upper=frozen_copy(upper),
+            velocity=chosen(velocity, "velocity", robot.velocity),
+            acceleration=most,
+            braking=np.minimum(chosen(braking, "braking", sure), most),
+            torque=most_torque,
+        )
+
+    def accelerations(self, q: JointVector, dq: JointVector, period: float) -> tuple[JointVector, JointVector]:
+        """Least and largest acceleration of each joint over one period that keep position, velocity and viability.
+
+        Both change continuously with the state. At the distance s from its limit a joint may move towards it at the
+        speed V(s) = √(2 b s + c²) − c, c = b/ρ: far away that is what the braking deceleration b just stops there, near
+        it ρ s. Where a ≤ ρ (V − v) − V' v a speed v below V(s) stays below, and because V V' ≤ b no more than b is ever
+        needed. ρ is `RATE`. Beyond the limit V = ρ s / (1 + ρ |s| / v), v its velocity limit: there is no hurry back.
+
+        Args:
+            q: Joints.
+            dq: Joint velocities.
+            period: Time for which the torque is held [s].
+        """
+        most = _Viability(self, period)(q, dq)
+        return np.minimum(-most[q.size :], most[: q.size]), most[: q.size]
+
+    def passed(
+        self, robot: Robot, t: Vector, q: Float[Array, "T n"], dq: Float[Array, "T n"], tau: Float[Array, "T n"]
+    ) -> str:
+        """Limits of position and velocity that were passed in a run, by how much, and why; empty where none was.
+
+        Args:
+            robot: The robot as the controller knows it.
+            t: Times [s].
+            q: Joints.
+            dq: Joint velocities.
+            tau: Torques.
+        """
+        over, speed = np.maximum(q - self.upper, self.lower - q), np.abs(dq) / self.velocity
+        told = []
+        for j, joint in enumerate(robot.joints):
+            rows = np.flatnonzero((over[:, j] > POSITION) | (speed[:, j] > 1.0 + VELOCITY))
+            if not len(rows):
+                continue
+            first, length, unit = rows[0], *(("m", "N") if joint.kind == "prismatic" else ("rad", "N m"))
+            amounts = []
+            if over[:, j].max() > POSITION:
+                amounts.append(f"its position limit by {over[:, j].max():.2g} {length}")
+            if speed[:, j].max() > 1.0 + VELOCITY:
+                amounts.append(f"its velocity limit {speed[:, j].max():.3g} times")
+            recent = slice(np.searchsorted(t, t[first] - BEFORE), first + 1)
+            if first == 0:
+                why = "where it began"
+            elif (np.abs(tau[recent, j]) >= USED_UP * self.torque[j]).any():
+                weight = max(abs(robot.gravity(row)[j]) for row in q[: first + 1])
+                why = (
+                    f"as its torque of {self.torque[j]:.3g} {unit} was used up (gravity took up to {weight:.3g} {unit})"
+                )
+            else:
+                why = "though it had torque left: other joints lacked it, or the motion was not the model's"
+            told.append(f"{joint.name!r} passed {' and '.join(amounts)}, first at t = {t[first]:.4g} s, {why}")
+        return f"limits were passed: {'; '.join(told)}" if told else ""
+
+
+class _Viability:
+    """`JointLimits.accelerations` for one period, in the form of 2n upper bounds: for ddq, and for −ddq."""
+
+    def __init__(self, limits: JointLimits, period: float) -> None:
+        n = limits.lower.size
+        self.rate = min(RATE, 0.5 / period)
+        # Towards the lower limit everything is mirrored.
+        self.sides = np.vstack((np.eye(n), -np.eye(n)))
+        self.ends = np.concatenate((limits.upper, -limits.lower)) - ROOM * period**2
+        self.braking, self.acceleration = np.tile(limits.braking, 2), np.tile(limits.acceleration, 2)
+        self.fastest = self.rate * np.tile(limits.velocity, 2)
+
+    def __call__(self, q: JointVector, dq: JointVector) -> Vector:
+        b, rate = self.braking, self.rate
+        room, speed = self.ends - self.sides.dot(q), rate * self.sides.dot(dq)
+        # ρ V = root − b and V' = ρ b / root
+        root = np.sqrt(2.0 * rate**2 * b * np.maximum(room, 0.0) + b * b)
+        beyond = rate**2 * np.minimum(room, 0.0)
+        slower = 1.0 - beyond / self.fastest
+        most = root - b + beyond / slower - b / root * speed / slower**2
+        most = np.minimum(most, self.fastest) - speed
+        return np.minimum(np.maximum(most, -self.acceleration), self.acceleration)
+
+
+def guaranteed_deceleration(robot: Robot, torque: JointVector, *, seed: int = 0) -> JointVector:
+    """Deceleration that all joints can hold together within their torque limits, in any posture at any allowed speed.
+
+    Args:
+        robot: The robot.
+        torque: Torque limits, (n,) [N m or N].
+        seed: Seed of the states that are tried.
+
+    Returns:
+        Decelerations [rad/s² or m/s²], from 0.5 to 50.
+    """
+    random = np.random.default_rng(seed)
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    speed = np.minimum(robot.velocity, np.pi)
+    states = [(random.uniform(lower, upper), random.uniform(-speed, speed)) for _ in range(300)]
+    # What gravity and Coriolis torques leave.
+    left = np.maximum(torque - np.abs([robot.bias(q, dq) for q, dq in states]), 0.0)
+    masses = np.abs([robot.mass(q) for q, _ in states])
+    alike = np.minimum((left / masses.sum(axis=2)).min(axis=0), 50.0)
+    # Those were for all joints alike; with one for each, those that brake harder load the others more.
+    loads = np.maximum(masses @ alike, 1e-12)
+    return np.maximum(min((left / loads).min(), 1.0) * alike, 0.5)
+
+
+class LimitedEosController(EosController):
+    """EOS computed torque within limits; for a sampled loop, because limits are kept from one sample to the next.
+
+    Where no limit is active the torque is that of `EosController`, to the last digit.
+
+    A joint too weak for what it carries is lost: it brakes with all the torque it has, and joints that can keep their
+    limits nevertheless do. `overload` tells beforehand where gravity takes more torque than there is.
+
+    A target may lead out of reach and come back; the task is then taken up again. But the law is local: an arm that
+    went through a singularity meanwhile, or began near one, may have come to where joint limits bar every way that
+    lessens the error at once. It stays there until the target moves on, and `task_deficit` says what is lacking. Three
+    or four of a hundred random runs in `benchmarks/limits.py` end so.
+
+    Args:
+        task: The task.
+        reference: Trajectory of the task.
+        self_motion: What the self-motion should do; by default hold v at its value at the start.
+        limits: What to keep; by default the limits of the task's robot.
+        control_period: Control period [s].
+        kp: Gain on the task error, one number or (m,) [1/s²].
+        kd: Gain on the task's velocity error, one number or (m,) [1/s].
+        feedforward: Whether dz and ddz of the reference are used.
+        gravity: Whether the controller compensates gravity.
+        atlas: Rule by which charts follow each other; by default that of `Atlas(task)`.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        reference: Trajectory,
+        self_motion: Objective | None = None,
+        *,
+        limits: JointLimits | None = None,
+        control_period: float = 1e-3,
+        kp: float | VectorLike = 100.0,
+        kd: float | VectorLike = 20.0,
+        feedforward: bool = True,
+        gravity: bool = True,
+        atlas: Atlas | None = None,
+    ) -> None:
+        super().__init__(
+            task, reference, self_motion, kp=kp, kd=kd, feedforward=feedforward, gravity=gravity, atlas=atlas
+        )
+        self.limits = limits or JointLimits.from_robot(task.robot)
+        self.control_period = control_period
+        self._smallest = SmallestChange(task.m, task.robot.n)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        super().__setattr__(name, number(value, "the control period", above=0.0) if name == "control_period" else value)
+        if name in ("limits", "control_period") and hasattr(self, "control_period"):
+            self._viability = _Viability(self.limits, self.control_period)
+        if name in ("limits", "control_period", "gravity"):
+            # It holds copies.
+            self.__dict__.pop("_compiled", None)
+
+    def overload(self, q: JointVector | None = None) -> tuple[str, ...]:
+        """Joints that cannot hold themselves against gravity, see `gravity_overload`; to be read before the start.
+
+        Args:
+            q: Posture at the start.
+        """
+        return gravity_overload(self.robot, q, self.limits.torque)
+
+    def describe(self) -> dict[str, Any]:
+        kept = {name: getattr(self.limits, name).tolist() for name in ("velocity", "braking", "torque")}
+        return super().describe() | {"control_period": self.control_period, "limits": kept}
+
+    @cached_property
+    def _compiled(self) -> Any:
+        kept, compiled = self._viability, getattr(kernels, "Limits", None)
+        return compiled and compiled(
+            self.control_period, kept.rate, kept.ends, kept.fastest, kept.braking, kept.acceleration,
+            self.limits.torque, CLEAR, self._model, self._smallest,
+        )  # fmt: skip
+
+    def _within(
+        self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
+    ) -> tuple[JointVector, JointVector]:
+        found = None if self._compiled is None else self._compiled(q, dq, ddq, J)
+        return self._reference(q, dq, ddq, J) if found is None else found
+
+    def _reference(
+        self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
+    ) -> tuple[JointVector, JointVector]:
+        """Torque within all limits, and what they change in the joint acceleration; what is compiled does the same.
+
+        Args:
+            q: Joints.
+            dq: Joint velocities.
+            ddq: Joint acceleration that is asked for.
+            J: Jacobian of the task.
+        """
+        model, n, torque = self._model, q.size, self.limits.torque
+        most = self._viability(q, dq)
+        tau, change = model.inverse_dynamics(q, dq, ddq), np.zeros(n)
+        part = tau / torque
+        # Far from all limits nothing needs to be predicted.
+        if part.dot(part) < 1.0 and (most - self._viability.sides.dot(ddq)).min() > CLEAR:
+            return tau, change
+        most, least = most[:n], np.minimum(-most[n:], most[:n])
+        lower, upper = np.concatenate((least, -torque)), np.concatenate((most, torque))
+        # A held torque accelerates the joints, on average, as in the middle of the period.
+        shift = np.minimum(np.maximum(ddq, least), most)
+        middle, speed = self._middle(q, dq, shift)
+        mean = model.forward_dynamics(middle, speed, tau)
+        now = np.concatenate((mean, tau))
+        if (lower <= now).all() and (now <= upper).all():
+            return tau, change
+        # So that without a change the middle stays where it is, and the torque is continuous.
+        shift -= np.minimum(np.maximum(mean, least), most)
+        change = self._smallest(J, model.mass(middle), lower - now, upper - now)
+        # Where the middle is depends on the change.
+        mean += change
+        middle, speed = self._middle(q, dq, mean + shift)
+        tau = model.inverse_dynamics(middle, speed, mean)
+        if (np.abs(tau) > torque).any():
+            now, M = np.concatenate((mean, tau)), model.mass(middle)
+            least, most = lower - now, upper - now
+            # Who gives way to whom is settled.
+            least[:n], most[:n] = np.minimum(least[:n], 0.0), np.maximum(most[:n], 0.0)
+            more = self._smallest(J, M, least, most)
+            tau, change = tau + M.dot(more), change + more
+        # For rounding only.
+        return np.minimum(np.maximum(tau, -torque), torque), change
+
+    def _middle(self, q: JointVector, dq: JointVector, ddq: JointVector) -> tuple[JointVector, JointVector]:
+        """The state in the middle of the period."""
+        half = 0.5 * self.control_period
+        speed = dq + half * ddq
+        return q + 0.5 * half * (dq + speed), speed

@@ -1,0 +1,259 @@
+"""What the self-motion should do: laws for F_v, the self-motion part of F* in Eqs. (36), (39), (41), (45).
+
+An objective never disturbs the task: whatever acceleration it asks of v, the chart's [G'; Vᵀ] keeps z on its own law.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+from weakref import WeakSet
+
+from eos_pin._arrays import (
+    JointVector,
+    SelfMotionVector,
+    VectorLike,
+    as_floats,
+    broadcast,
+    frozen_copy,
+    vector,
+)
+from eos_pin.charts.chart import Chart
+from eos_pin.errors import InputError
+from eos_pin.robot.model import Robot
+from eos_pin.trajectories.base import Hold, Target, Trajectory
+
+
+class Objective(ABC):
+    """A law for the self-motion."""
+
+    @abstractmethod
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        """Self-motion acceleration F_v that it asks for, (r,)."""
+
+    def target(self, t: float, r: int) -> Target | None:
+        """Self-motion (v, dv, ddv) that it tracks; None if it tracks none."""
+        return None
+
+    def check(self, n: int, r: int) -> None:  # noqa: B027 - most fit any
+        """Refuse a robot or a task that it does not fit.
+
+        Args:
+            n: Number of joints.
+            r: Degree of redundancy.
+
+        Raises:
+            InputError: It does not fit.
+        """
+
+
+class Track(Objective):
+    """Track self-motion v_d(t) with exponentially decaying error; lower rows of Eqs. (36), (45).
+
+    `reference`, `kp` and `kd` may be assigned at any time, and count from the next step on.
+
+    Args:
+        reference: v_d, as a trajectory or a constant; by default 0, the value of v at the start of a run.
+        kp: Gain on v, one number or (r,) [1/s²].
+        kd: Gain on dv, one number or (r,) [1/s]; 2 √kp is critically damped.
+    """
+
+    def __init__(
+        self,
+        reference: Trajectory | VectorLike | None = None,
+        *,
+        kp: float | VectorLike = 100.0,
+        kd: float | VectorLike = 20.0,
+    ) -> None:
+        #: Controllers that are told when something is assigned, and make anew what they made of the old values.
+        self.users: WeakSet[Any] = WeakSet()
+        self._laws: dict[int, tuple[SelfMotionVector, SelfMotionVector, Trajectory]] = {}
+        self.reference: Trajectory | None
+        self.reference, self.kp, self.kd = reference, kp, kd  # type: ignore[assignment]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "reference" and value is not None and not isinstance(value, Trajectory):
+            value = Hold(vector(value, None, "v_d"))
+        elif name in ("kp", "kd"):
+            value = frozen_copy(as_floats(value, f"the self-motion gain {name}"))
+        if name not in ("reference", "kp", "kd"):
+            super().__setattr__(name, value)
+            return
+        before, made = getattr(self, name, None), self._laws
+        super().__setattr__(name, value)
+        super().__setattr__("_laws", {})
+        try:
+            # What does not fit where it is in use is refused here, not in the middle of a run.
+            for r in made:
+                self.law(r)
+        except InputError:
+            super().__setattr__(name, before)
+            super().__setattr__("_laws", made)
+            raise
+        for user in self.users:
+            user.renew()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "users": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, users=WeakSet())
+
+    def law(self, r: int) -> tuple[SelfMotionVector, SelfMotionVector, Trajectory]:
+        """Gains kp and kd, (r,) each, and reference for r self-motion coordinates; checked once."""
+        if r not in self._laws:
+            reference = self.reference or Hold([0.0] * r)  # type: ignore[arg-type]
+            vector(reference(0.0).z, r, "v_d")
+            kp, kd = (
+                frozen_copy(broadcast(k, r, f"the self-motion gain {name}"))
+                for k, name in ((self.kp, "kp"), (self.kd, "kd"))
+            )
+            self._laws[r] = kp, kd, reference
+        return self._laws[r]
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        kp, kd, reference = self.law(chart.r)
+        if type(reference) is Hold:
+            # The everyday case, without terms that are zero.
+            pull = kp * (reference.z - chart.v(q))
+            pull -= kd * chart.dv(dq)
+            return pull
+        v_d, dv_d, ddv_d = reference(t)
+        return ddv_d + kd * (dv_d - chart.dv(dq)) + kp * (v_d - chart.v(q))
+
+    def target(self, t: float, r: int) -> Target:
+        return self.law(r)[2](t)
+
+    def check(self, n: int, r: int) -> None:
+        self.law(r)
+
+
+@dataclass(frozen=True)
+class Damp(Objective):
+    """Bring the self-motion to rest wherever it is: F_v = −kd dv. With kd = 0, leave v alone (end of Sec. 6.2).
+
+    Attributes:
+        kd: Damping [1/s].
+    """
+
+    kd: float = 20.0
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        return -self.kd * chart.dv(dq)
+
+
+def posture_value(law: Any, name: str, value: Any) -> Any:
+    """A checked, read-only copy of what is assigned to q, kp or kd of a posture law; all else as it is."""
+    if name == "q":
+        return frozen_copy(vector(value, law.q.size if "q" in vars(law) else None, "the posture"))
+    return frozen_copy(broadcast(value, law.q.size, "a posture gain")) if name in ("kp", "kd") else value
+
+
+class Posture(Objective):
+    """Draw the joints towards a posture, as far as the task allows: F_v = Vᵀ(kp (q_rest − q) − kd dq).
+
+    Continuous joints go the shorter way round, see `Robot.way`. `q`, `kp` and `kd` may be assigned at any time.
+
+    Args:
+        q: Posture, (n,) [rad or m].
+        kp: Gain, one number or (n,) [1/s²].
+        kd: Damping, one number or (n,) [1/s].
+    """
+
+    def __init__(self, q: VectorLike, *, kp: float | VectorLike = 100.0, kd: float | VectorLike = 20.0) -> None:
+        self.q: JointVector
+        self.q, self.kp, self.kd = q, kp, kd  # type: ignore[assignment]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        super().__setattr__(name, posture_value(self, name, value))
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        if self.q.size != q.size:
+            self.check(q.size, chart.r)
+        return chart.dv(self.kp * chart.task.robot.way(q, self.q) - self.kd * dq)
+
+    def check(self, n: int, r: int) -> None:
+        if self.q.size != n:
+            raise InputError(f"the posture has {self.q.size} joints, the robot {n}")
+
+
+@dataclass(frozen=True, eq=False)
+class ReduceKineticEnergy(Objective):
+    """Lower the kinetic energy T: F_v = −gain Vᵀ∇T; Eq. (39).
+
+    Attributes:
+        robot: Robot whose energy counts.
+        gain: Factor of the gradient; the paper's is 1.
+        gradient: `"velocity"` takes ∇T = ∂T/∂dq = M dq, which damps; `"configuration"` takes ∂T/∂q, the other reading
+            of the paper, which does not.
+    """
+
+    robot: Robot
+    gain: float = 1.0
+    gradient: Literal["velocity", "configuration"] = "velocity"
+
+    def __post_init__(self) -> None:
+        self.robot.check_dynamics()
+        if self.gradient not in ("velocity", "configuration"):
+            raise InputError(f"gradient must be 'velocity' or 'configuration', got {self.gradient!r}")
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        return -self.gain * chart.dv(self.energy_gradient(q, dq))
+
+    def energy_gradient(self, q: JointVector, dq: JointVector) -> JointVector:
+        """∇T, (n,)."""
+        if self.gradient == "velocity":
+            return self._unloaded.inverse_dynamics(q, 0.0 * dq, dq)  # M dq
+        return self.robot.energy_slope(q, dq)
+
+    @cached_property
+    def _unloaded(self) -> Robot:
+        """The robot without gravity, whose inverse dynamics at rest is a product with M."""
+        return self.robot.with_gravity(0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class DescendPotential(Objective):
+    """Descend a potential U_p of the joints: F_v = −gain Vᵀ∇U_p − kd dv; Eq. (41), where kd is 0.
+
+    Attributes:
+        gradient: ∇U_p as a function of q, (n,).
+        gain: Factor of the gradient.
+        kd: Damping of the self-motion [1/s].
+    """
+
+    gradient: Callable[[JointVector], JointVector]
+    gain: float = 1.0
+    kd: float = 0.0
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        return chart.dv(-self.gain * self.gradient(q) - self.kd * dq)
+
+
+class SumObjective(Objective):
+    """Sum of several objectives.
+
+    Args:
+        parts: The objectives.
+    """
+
+    def __init__(self, parts: Sequence[Objective]) -> None:
+        if not parts:
+            raise InputError("SumObjective needs at least one objective; Damp(0.0) leaves the self-motion alone")
+        self.parts = tuple(parts)
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        total = self.parts[0].acceleration(t, q, dq, chart)
+        for part in self.parts[1:]:
+            total = total + part.acceleration(t, q, dq, chart)
+        return total
+
+    def target(self, t: float, r: int) -> Target | None:
+        return next((target for part in self.parts if (target := part.target(t, r)) is not None), None)
+
+    def check(self, n: int, r: int) -> None:
+        for part in self.parts:
+            part.check(n, r)

@@ -1,0 +1,177 @@
+"""Traditional task-space control, to compare with.
+
+`OperationalSpaceController` is the paper's, Eqs. (32), (33), (38), (43), and with other null-space laws the controller
+in everyday use. Each popular variant has a name in `BASELINES`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import lapack
+
+from eos_pin._arrays import JointVector, VectorLike
+from eos_pin.charts._basis import RANK_TOLERANCE, check_rank
+from eos_pin.control.base import TaskController
+from eos_pin.control.objectives import ReduceKineticEnergy, posture_value
+from eos_pin.errors import InputError, SingularError
+from eos_pin.robot.model import Robot
+from eos_pin.tasks.base import Task
+from eos_pin.trajectories.base import Trajectory
+
+
+class NullSpaceLaw(ABC):
+    """A torque F⁰ that acts where the task does not feel it, through Nᵀ.
+
+    Attributes:
+        compensates: Whether Coriolis and gravity torques are also compensated in the null space. The paper's control
+            does not: there the robot falls freely wherever the task lets it.
+    """
+
+    compensates: bool = True
+
+    @abstractmethod
+    def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
+        """Torque F⁰ before projection [N m or N]."""
+
+
+@dataclass(frozen=True)
+class FreeNullSpace(NullSpaceLaw):
+    """No torque in the null space: Eqs. (32), (33), (43) as printed."""
+
+    compensates = False
+
+    def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
+        return np.zeros(robot.n)
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyNullSpace(NullSpaceLaw):
+    """Negative gradient of the kinetic energy; Eq. (38).
+
+    Attributes:
+        objective: Whose gradient it is, and how much of it.
+    """
+
+    objective: ReduceKineticEnergy
+    compensates = False
+
+    def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
+        return -self.objective.gain * self.objective.energy_gradient(q, dq)
+
+
+@dataclass(frozen=True)
+class DampedNullSpace(NullSpaceLaw):
+    """Joint damping M (−kd dq) in the null space.
+
+    Attributes:
+        kd: Damping [1/s].
+    """
+
+    kd: float = 20.0
+
+    def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
+        return robot.mass(q) @ (-self.kd * dq)
+
+
+class PostureNullSpace(NullSpaceLaw):
+    """Posture control M (kp (q_rest − q) − kd dq) in the null space, what most people use.
+
+    Continuous joints go the shorter way round, see `Robot.way`. `q`, `kp` and `kd` may be assigned at any time.
+
+    Args:
+        q: Posture, (n,) [rad or m].
+        kp: Gain [1/s²].
+        kd: Damping [1/s].
+    """
+
+    def __init__(self, q: VectorLike, *, kp: float | VectorLike = 100.0, kd: float | VectorLike = 20.0) -> None:
+        self.q: JointVector
+        self.q, self.kp, self.kd = q, kp, kd  # type: ignore[assignment]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        super().__setattr__(name, posture_value(self, name, value))
+
+    def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
+        if self.q.size != robot.n:
+            raise InputError(f"the posture has {self.q.size} joints, {robot.name!r} has {robot.n}")
+        return robot.mass(q) @ (self.kp * robot.way(q, self.q) - self.kd * dq)
+
+
+class OperationalSpaceController(TaskController):
+    """Khatib's task-space control F^y = G'ᵀ(Λ F* + μ + p) + NᵀF⁰; Eqs. (32), (33), (38), (43).
+
+    Args:
+        task: The task.
+        reference: Trajectory of the task.
+        null_space: Law for the null space; by default none, as in the paper.
+        kp: Gain on the task error, one number or (m,) [1/s²].
+        kd: Gain on the task's velocity error, one number or (m,) [1/s].
+        feedforward: Whether dz and ddz of the reference are used.
+        drift: Whether the Jacobian's time derivative (Ġ'dq in μ) is used; many implementations leave it out.
+        gravity: Whether the controller compensates gravity.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        reference: Trajectory,
+        null_space: NullSpaceLaw | None = None,
+        *,
+        kp: float | VectorLike = 100.0,
+        kd: float | VectorLike = 20.0,
+        feedforward: bool = True,
+        drift: bool = True,
+        gravity: bool = True,
+    ) -> None:
+        super().__init__(task, reference, kp=kp, kd=kd, feedforward=feedforward, gravity=gravity)
+        self.null_space = null_space or FreeNullSpace()
+        self.drift = drift
+
+    def describe(self) -> dict[str, Any]:
+        return super().describe() | {
+            "null_space": type(self.null_space).__name__,
+            "drift": self.drift,
+        }
+
+    def torque(self, t: float, q: JointVector, dq: JointVector, state: Any) -> JointVector:
+        point, model = self.task.at(q, dq), self._model
+        ddz = self.task_acceleration(t, point)
+        if self.drift:
+            ddz = ddz - point.drift
+        # The torque is G'ᵀΛ(ddz + G'M⁻¹(bias − F⁰)) + F⁰, with M = LLᵀ and Y = L⁻¹G'ᵀ, so that Λ = (YᵀY)⁻¹.
+        bias = model.bias(q, dq)
+        null = self.null_space.torque(model, q, dq)
+        if self.null_space.compensates:
+            null = null + bias
+        L, _ = lapack.dpotrf(model.mass(q), lower=1)
+        Y, _ = lapack.dtrtrs(L, point.J.T, lower=1)
+        y, _ = lapack.dtrtrs(L, bias - null, lower=1)
+        R, force, info = lapack.dposv(Y.T.dot(Y), ddz + Y.T.dot(y))
+        diagonal = R.diagonal().tolist()
+        if info or min(diagonal) <= RANK_TOLERANCE * max(diagonal):
+            check_rank(point.J)
+        if info:
+            raise SingularError("the task is singular here: its mass matrix Λ does not exist", 0, ())
+        return point.J.T.dot(force) + null
+
+
+#: Ready-made variants by name. Each is a function of the task, its trajectory and the posture at the start.
+BASELINES: Mapping[str, Callable[[Task, Trajectory, JointVector], OperationalSpaceController]] = {
+    "task-space": lambda task, reference, q: OperationalSpaceController(task, reference),
+    "task-space-energy": lambda task, reference, q: OperationalSpaceController(
+        task, reference, EnergyNullSpace(ReduceKineticEnergy(task.robot))
+    ),
+    "null-space-damping": lambda task, reference, q: OperationalSpaceController(task, reference, DampedNullSpace()),
+    "null-space-posture": lambda task, reference, q: OperationalSpaceController(task, reference, PostureNullSpace(q)),
+    "without-drift": lambda task, reference, q: OperationalSpaceController(
+        task, reference, PostureNullSpace(q), drift=False
+    ),
+    "set-point": lambda task, reference, q: OperationalSpaceController(
+        task, reference, PostureNullSpace(q), drift=False, feedforward=False
+    ),
+}

@@ -1,0 +1,69 @@
+"""What `EosController` remembers from one call to the next, and what it tells about one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from eos_pin._arrays import JointVector, SelfMotionVector, TaskVector
+from eos_pin.charts.chart import Chart
+from eos_pin.control._regularize import AccelerationMap
+from eos_pin.tasks.base import Point
+
+#: Rate at which the acceleration that is carried over to the next chart is forgotten [1/s], and that for every radian
+#: per second of joint speed: it has to be gone before a fast robot is through with the chart.
+FORGETTING, PER_SPEED = 20.0, 10.0
+#: Time after which nothing is left of it to rounding [s].
+LONG_AGO = 40.0 / FORGETTING
+
+
+@dataclass(frozen=True, eq=False)
+class EosState:
+    """What `EosController` remembers.
+
+    Attributes:
+        drive: What turns the law into joint accelerations on the chart it is on.
+        number: How many charts came before it.
+        law: The law and `drive` in one, compiled, where there is that.
+        since: Time from which the chart is used [s].
+        carried: What the self-motion acceleration lacked then to that on the chart before, (r,); None on the first.
+        made_of: Stands for the gains and targets that `drive` and `law` were made of.
+    """
+
+    drive: AccelerationMap
+    number: int = 0
+    law: Any = None
+    since: float = 0.0
+    carried: SelfMotionVector | None = None
+    made_of: object = None
+
+    @property
+    def chart(self) -> Chart:
+        """The chart it is on."""
+        return self.drive.chart
+
+    def left(self, t: float, dq: JointVector) -> SelfMotionVector | None:
+        """Acceleration that is still carried at time t, with joints at these velocities, (r,); None if nothing is."""
+        if self.carried is None or t - self.since >= LONG_AGO:
+            return None
+        rate = max(FORGETTING, PER_SPEED * math.sqrt(dq.dot(dq)))
+        return math.exp(rate * (self.since - t)) * self.carried
+
+
+class ControlReport(NamedTuple):
+    """What `EosController` does in one state.
+
+    Attributes:
+        tau: Joint torques [N m or N].
+        z: Task point.
+        dz: Task velocity [m/s, rad/s].
+        deficit_from_singularity: Task acceleration given up because the task is nearly singular, (m,).
+        to_limits: Task acceleration given up to limits, (m,).
+    """
+
+    tau: JointVector
+    z: Point
+    dz: TaskVector
+    deficit_from_singularity: TaskVector
+    deficit_from_limits: TaskVector

@@ -1,0 +1,86 @@
+"""Which options apply with which others: one that would change nothing is refused, with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, TypeAlias
+
+from eos_pin.errors import InputError
+
+#: Options by name, as the command line has them.
+Settings: TypeAlias = Mapping[str, Any]
+
+
+class Rule(NamedTuple):
+    """When some options apply.
+
+    Attributes:
+        names: Names of the options.
+        applies: Whether they change anything beside the others.
+        reason: Why they do not, and what to do.
+    """
+
+    names: tuple[str, ...]
+    applies: Callable[[Settings], bool]
+    reason: str
+
+
+EOS = ("eos", "eos-limited")
+DRAWN = ("eight", "circle", "line")
+
+
+def _is_sampled(s: Settings) -> bool:
+    return s["rate"] is not None or s["plant"] == "mujoco"
+
+
+def _is_random(s: Settings) -> bool:
+    return bool(s["noise"] or s["dropout"] or s["model_error"])
+
+
+RULES = (
+    Rule(("size", "plane", "period"), lambda s: s["path"] in DRAWN, "it belongs to the paths eight, circle and line"),
+    Rule(("cycles",), lambda s: s["duration"] is None, "the duration is given; leave one of them out"),
+    Rule(("cycles",), lambda s: s["path"] != "hold", "a robot that holds still has no rounds; give --duration"),
+    Rule(
+        ("self_motion", "v", "swing", "kp", "kd", "kp_self_motion", "kd_self_motion", "chart_margin"),
+        lambda s: s["controller"] in EOS,
+        "traditional controllers have gains and null-space laws of their own; use --controller eos or eos-limited",
+    ),
+    Rule(("v", "swing"), lambda s: s["self_motion"] == "hold", "v is commanded with --self-motion hold only"),
+    Rule(
+        ("kp_self_motion",),
+        lambda s: s["self_motion"] in ("hold", "posture"),
+        "it belongs to --self-motion hold and posture",
+    ),
+    Rule(
+        ("kd_self_motion",),
+        lambda s: s["self_motion"] in ("hold", "posture", "damp"),
+        "it belongs to --self-motion hold, posture and damp",
+    ),
+    Rule(("substeps",), _is_sampled, "it belongs to sampled runs; add --control-rate 1000"),
+    Rule(("push_time",), lambda s: s["push"] is not None, "there is no push; add --push FX FY FZ"),
+    Rule(("method", "rtol"), lambda s: not _is_sampled(s), "it belongs to continuous runs; leave --control-rate out"),
+    Rule(("seed",), _is_random, "nothing is random; add --noise, --dropout or --model-error"),
+)
+
+
+def check_applicable(settings: Settings, defaults: Settings) -> None:
+    """Refuse an option that is not at its default and changes nothing.
+
+    Args:
+        settings: All options of a run by name; rules about options that are not among them are left out.
+        defaults: Their defaults.
+
+    Raises:
+        InputError: An option does not apply; says why.
+    """
+    for rule in RULES:
+        for name in rule.names:
+            if name not in settings or settings[name] == defaults[name] or rule.applies({**defaults, **settings}):
+                continue
+            option = name.replace("_", "-")
+            raise InputError(f"--{option} {_shown(settings[name])} does not apply: {rule.reason}")
+
+
+def _shown(value: Any) -> str:
+    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)

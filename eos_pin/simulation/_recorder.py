@@ -1,0 +1,338 @@
+"""Collects the samples of a run, and turns whatever ends it into a `Result`."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from eos_pin._arrays import (
+    Array,
+    JointVector,
+    Vector,
+    VectorLike,
+    nearest,
+    number,
+)
+from eos_pin.charts.chart import Chart
+from eos_pin.control.base import Controller
+from eos_pin.control.eos import EosController
+from eos_pin.control.limited import LimitedEosController
+from eos_pin.errors import ChartError, EosError, InputError, SingularError
+from eos_pin.robot.model import Robot
+from eos_pin.simulation._systems import System
+from eos_pin.simulation.limit_use import limits_of
+from eos_pin.simulation.result import Result, provenance
+from eos_pin.tasks.base import Task
+from eos_pin.trajectories.base import Trajectory
+
+_TASK_COLUMNS = ("z", "dz", "z_ref", "error", "task_force", "task_deficit", "deficit_from_limits")
+#: Samples of a run, and joints in all samples together, that are kept at most.
+MOST_SAMPLES, MOST_JOINT_SAMPLES = 1_000_000, 20_000_000
+#: Called with time and joints of every sample of a run: a progress bar, a live view.
+Observer: TypeAlias = Callable[[float, JointVector], None]
+
+
+class Stop(Exception):  # noqa: N818 - an ending, not an error
+    """Ends a run with a status and a message."""
+
+    def __init__(self, status: str, message: str) -> None:
+        self.status, self.message = status, message
+        super().__init__(message)
+
+
+class _Row(NamedTuple):
+    """One sample."""
+
+    t: float
+    q: JointVector
+    dq: JointVector
+    ddq: JointVector
+    tau: JointVector
+    work: float
+    state: Any
+    chart: Chart | None
+    #: z, dz, and what is given up to a singularity and to limits, where the controller says so.
+    task: tuple[Array, Array, Array, Array] | None
+
+
+class Recorder:
+    """Collects samples, and how the run ended."""
+
+    def __init__(self, system: System, times: Vector, arguments: dict[str, Any], observer: Observer | None) -> None:
+        check_run(system.plant.n, len(times), float(times[-1]), getattr(system.controller, "reference", None))
+        self.system, self.arguments, self.observer = system, arguments, observer
+        self.times: list[float] = times.tolist()
+        self.switches: list[float] = []
+        self.status, self.message = "finished", ""
+        self._rows: list[_Row] = []
+        self._next = 0
+        self._clock, self._wall = time.process_time(), time.perf_counter()
+
+    def due(self, start: float, end: float) -> Iterator[float]:
+        """Sample times from `start` up to `end` that have not been taken."""
+        while self.is_due(end):
+            if self.times[self._next] >= start:
+                yield self.times[self._next]
+            else:
+                self._next += 1
+
+    def is_due(self, end: float) -> bool:
+        """Whether there is a sample to take up to `end`."""
+        return self._next < len(self.times) and bool(self.times[self._next] <= end)
+
+    def add(self, t: float, x: Vector, tau: JointVector | None = None) -> None:
+        """Take a sample; the torque is the controller's unless it was held."""
+        if self._rows and t <= self._rows[-1].t:
+            self._next += t >= self.times[min(self._next, len(self.times) - 1)]
+            return
+        self._next += self._next < len(self.times) and t >= self.times[self._next]
+        system = self.system
+        q, dq = system.joints(np.array(x))
+        controller, done = system.controller, None
+        if isinstance(controller, EosController):
+            seen = controller.evaluate(t, q, dq, system.state)
+            done = seen[1:]
+            tau = seen.tau if tau is None else tau
+        if tau is None:
+            tau = controller.torque(t, q, dq, system.state)
+        ddq, _ = system.accelerate(t, q, dq, tau)
+        chart = getattr(system, "chart", None) or getattr(system.state, "chart", None)
+        self._rows.append(_Row(t, q, dq, ddq, np.array(tau), x[-1], system.state, chart, done))
+        if self.observer is not None:
+            self.observer(t, q)
+
+    @contextmanager
+    def until_it_ends(self) -> Iterator[None]:
+        """Turn whatever ends the run early into a status and a message; before the first sample it is raised."""
+        try:
+            yield
+        except (Stop, EosError, KeyboardInterrupt) as ending:
+            if not self._rows:
+                raise
+            self.status, self.message = _ending(ending, self._rows[-1].t)
+
+    def result(self) -> Result:
+        """The run as a value; what follows from the state is computed here, out of the loop's way."""
+        controller, plant = self.system.controller, self.system.plant
+        t, q, dq, ddq, tau, work, *_ = zip(*self._rows, strict=True)
+        cpu, wall = time.process_time() - self._clock, time.perf_counter() - self._wall
+        force = self.system.task_force
+        task = getattr(controller, "task", None) or getattr(getattr(self.system, "atlas", None), "task", None)
+        task = task or (force.task if force else None)
+        info = provenance() | {
+            "robot": _record(plant),
+            "limits": limits_of(plant),
+            "task": task.describe() if task else None,
+            "force_task": force.task.describe() if force else None,
+            "controller": controller.describe(),
+            "arguments": self.arguments,
+            "cpu_seconds": cpu,
+            "wall_seconds": wall,
+        }
+        run = Result(
+            t=np.array(t),
+            q=np.array(q),
+            dq=np.array(dq),
+            ddq=np.array(ddq),
+            tau=np.array(tau),
+            **self._self_motion(),
+            **self._task(task),
+            kinetic_energy=np.array([plant.kinetic_energy(a, b) for a, b in zip(q, dq, strict=True)]),
+            work=np.array(work),
+            switches=np.array(self.switches, dtype=float),
+            period=self.system.reference_period,
+            status=self.status,
+            message=self.message,
+            info=info,
+        )
+        if not run.ok:
+            return replace(run, message=run.message or _not_measured(controller))
+        lost = run.deficit_rows
+        why = {"task": "near a singularity of the task", "limit": "to keep the limits"}
+        when = "; ".join(
+            f"{why[kind]} for {met['seconds']:.3g} s, first at t = {met['first']:.4g} s"
+            for kind, met in run.singularities.items()
+            if kind in why
+        )
+        passed = ""
+        if isinstance(controller, LimitedEosController):
+            passed = controller.limits.passed(controller.robot, run.t, run.q, run.dq, run.tau)
+        messages = [passed] * bool(passed) + [f"part of the task was given up {when}"] * bool(lost.any())
+        # While the controller settles that is to be expected; later the run has not done what it was to do.
+        degraded = passed or lost[run.settled_row :].any()
+        message = ". Also, ".join(messages) or run.message or _not_measured(controller)
+        return replace(run, status="degraded" if degraded else run.status, message=message)
+
+    def _self_motion(self) -> dict[str, Array]:
+        """Number of the chart and self-motion of each sample."""
+        rows, controller = self._rows, self.system.controller
+        numbers: dict[Chart | None, int] = {}
+        number = np.array([numbers.setdefault(row.chart, len(numbers)) for row in rows])
+        r = max((chart.r for chart in numbers if chart), default=0)
+        v, dv, v_ref = np.full((3, len(rows), r), np.nan)
+        q, dq = np.array([row.q for row in rows]), np.array([row.dq for row in rows])
+        for chart, k in numbers.items():
+            if chart:
+                v[number == k] = chart.v_bar + chart.basis.project((q[number == k] - chart.q_bar).T).T
+                dv[number == k] = chart.basis.project(dq[number == k].T).T
+        if isinstance(controller, EosController):
+            targets = [controller.self_motion_target(row.t, row.state) for row in rows]
+            v_ref = np.array([np.full(r, np.nan) if target is None else target.z for target in targets])
+        return {"chart": number, "v": v, "dv": dv, "v_ref": v_ref}
+
+    def _task(self, task: Task | None) -> dict[str, Array]:
+        """What became of the task at each sample."""
+        rows, controller, force = self._rows, self.system.controller, self.system.task_force
+        if task is None:
+            return {name: np.zeros((len(rows), 0)) for name in _TASK_COLUMNS}
+        reference, nothing = getattr(controller, "reference", None), np.zeros(task.m)
+        # The plant's kinematics are those of the controller's model, which may differ in inertia only.
+        done = [row.task or (*task.at(row.q, row.dq)[::2], nothing, nothing) for row in rows]
+        z, dz, singular, limited = map(np.array, zip(*done, strict=True))
+        z_ref, error = np.full_like(z, np.nan), np.full_like(dz, np.nan)
+        if reference is not None:
+            z_ref = np.array([reference(row.t).z for row in rows])
+            error = np.array(list(map(task.minus, z_ref, z)))
+        forces = np.array([force.force(row.t) for row in rows], dtype=float) if force else np.zeros_like(dz)
+        return dict(zip(_TASK_COLUMNS, (z, dz, z_ref, error, forces, singular + limited, limited), strict=True))
+
+
+def _not_measured(controller: Controller) -> str:
+    """Sentence about what is not known of a run because a controller of somebody's own does not tell it."""
+    missing = [name for name in ("task", "reference") if not hasattr(controller, name)]
+    if not missing or type(controller).__module__.startswith("eos_pin."):
+        return ""
+    return (
+        f"no task error is known: {type(controller).__name__} has no attribute {' and no '.join(missing)}. Set "
+        f"{' and '.join(missing)} in its constructor, to None where there is none"
+    )
+
+
+def _ending(ending: BaseException, t: float) -> tuple[str, str]:
+    """Status and message of a run that came to time t."""
+    if isinstance(ending, Stop):
+        return ending.status, ending.message
+    if isinstance(ending, KeyboardInterrupt):
+        return "interrupted", f"interrupted at t = {t:.4g} s"
+    kinds = {SingularError: "singular", ChartError: "chart_lost"}
+    status = next((status for kind, status in kinds.items() if isinstance(ending, kind)), "failed")
+    return status, f"the run ended at t = {t:.4g} s: {ending}"
+
+
+def uninterrupted(result: Result) -> Result:
+    """The result itself; an interrupt that ended the run is raised once more, for what runs many or writes files.
+
+    Raises:
+        KeyboardInterrupt: The run was interrupted.
+    """
+    if result.status == "interrupted":
+        raise KeyboardInterrupt(f"the run is {result.message}, nothing of it is kept")
+    return result
+
+
+def joint_run(
+    task: Task,
+    t: VectorLike,
+    q: Float[Array, "T n"],
+    z: Float[Array, "T size"],
+    *,
+    v: Float[Array, "T r"] | None = None,
+    chart: Int[Array, " T"] | None = None,
+    period: float = math.inf,
+    message: str = "",
+) -> Result:
+    """Joints over time without dynamics, in the form that figures, tables and replay take.
+
+    Args:
+        task: The task.
+        t: Times [s].
+        q: Joints.
+        z: Task points that were asked for.
+        v: Self-motion coordinates, if there are charts.
+        chart: Number of the chart at each time.
+        period: Period of the path [s].
+        message: Why it ends early; empty where it does not.
+    """
+    robot, t = task.robot, np.asarray(t, dtype=float)
+    rest, still = np.zeros(len(t)), np.zeros((len(t), robot.n))
+    v = np.zeros((len(t), 0)) if v is None else v
+    chart = np.zeros(len(t), dtype=np.int64) if chart is None else chart
+    reached = np.array([task.value(row) for row in q]).reshape(len(t), task.size)
+    error = np.array([task.minus(a, b) for a, b in zip(z, reached, strict=True)]).reshape(len(t), task.m)
+    info = {"robot": _record(robot), "task": task.describe(), "controller": {"kind": "Kinematics"}, "arguments": {}}
+    info["limits"] = limits_of(robot, moving=False)
+    return Result(
+        t=t, q=q, dq=still, ddq=still, tau=still,
+        z=reached, dz=0.0 * error, z_ref=z, error=error, task_force=0.0 * error,
+        task_deficit=0.0 * error, deficit_from_limits=0.0 * error,
+        v=v, dv=0.0 * v, v_ref=np.full_like(v, np.nan), chart=chart, switches=t[1:][np.diff(chart) != 0],
+        kinetic_energy=rest, work=rest, period=period,
+        status="unreached" if message else "finished", message=message, info=provenance() | info,
+    )  # fmt: skip
+
+
+def _record(robot: Robot) -> dict[str, Any]:
+    """What `Result.load_plant` needs to find the robot again."""
+    return {
+        "name": robot.name,
+        "source": robot.source,
+        "options": dict(robot.options),
+        "urdf_sha256": robot.urdf_sha256,
+        "joints": [joint.name for joint in robot.joints],
+        "continuous": np.flatnonzero(robot.continuous).tolist(),
+    }
+
+
+def check_run(n: int, samples: int, duration: float, path: Trajectory | None) -> None:
+    """Refuse a run that would keep too much, or end before its path begins.
+
+    Args:
+        n: Number of joints.
+        samples: Samples that are kept.
+        duration: Length of the run [s].
+        path: What is followed, if there is a path.
+
+    Raises:
+        InputError: It says what to do.
+    """
+    if samples * n > MOST_JOINT_SAMPLES:
+        raise InputError(
+            f"{samples:,} samples of {n} joints are more than can be kept; up to {MOST_JOINT_SAMPLES // n:,} are "
+            "possible. Make the run shorter, or keep fewer samples per second"
+        )
+    begin = getattr(path, "begin", 0.0)
+    if begin >= duration:
+        raise InputError(
+            f"the path begins at t = {begin:.10g} s, when the run from 0 to {duration:g} s has ended. Count its times "
+            "from the start of the run, such as times - times[0]"
+        )
+
+
+def sample_times(duration: float, rate: float, period: float) -> Array:
+    """Sample times: a regular grid, the end, and the exact multiples of the period instead of their neighbours.
+
+    Raises:
+        InputError: The numbers are out of range, or there would be more samples than can be kept.
+    """
+    duration, rate = number(duration, "the duration", above=0.0), number(rate, "the sample rate", above=0.0)
+    count = duration * rate + (duration / period if period > 0.0 else math.inf)
+    if count > MOST_SAMPLES:
+        raise InputError(
+            f"a run of {duration:,.10g} s with {rate:g} samples kept per second would have {count:,.0f} samples; up to "
+            f"{MOST_SAMPLES:,} are possible. Make it shorter, or keep fewer per second; if the duration comes from a "
+            "path whose times are in milliseconds, divide them by 1000"
+        )
+    times = np.arange(0.0, duration, 1.0 / rate)
+    exact = [duration]
+    if math.isfinite(period):
+        exact += list(period * np.arange(int(duration / period + 1e-9) + 1))
+    exact_times = np.unique(np.minimum(exact, duration))
+    near = np.abs(times - exact_times[nearest(exact_times, times)]) < 1e-9 * max(1.0, duration)
+    return np.unique(np.concatenate((times[~near], exact_times)))

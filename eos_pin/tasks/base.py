@@ -1,0 +1,283 @@
+"""Tasks: what the robot must do, as a smooth function z = G(q) of its joints, Eq. (1).
+
+A point z is always a flat array. For a position or a centre of mass it is the vector itself; for an orientation it
+is the rotation matrix row by row (9 numbers), for a pose the position followed by it (12). `minus` and `plus` are
+the group's own difference and step, so that no caller has to know which kind of task it drives. Velocities dz and
+rows of J are those of a point and of an angular velocity in the axes of the world (LOCAL_WORLD_ALIGNED); the drift
+Ġ'ẏ is the classical acceleration at ÿ = 0.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from functools import cached_property, partial
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from eos_pin._arrays import (
+    Array,
+    Jacobian,
+    JointVector,
+    TaskVector,
+    vector,
+)
+from eos_pin._kernels.flat import Part
+from eos_pin._kernels.kinematics import Kinematics
+from eos_pin.errors import InputError, UnknownNameError
+from eos_pin.robot._data import workspace
+from eos_pin.robot.model import Robot
+
+#: A flat task point, `Task.size` numbers.
+Point: TypeAlias = Float[np.ndarray, " size"]
+#: What a caller may give for a point: numbers, a rotation or homogeneous matrix, a `pin.SE3`.
+PointLike: TypeAlias = "Sequence[float] | Array | pin.SE3"
+
+#: The axes of velocities and Jacobians.
+WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+
+_KINDS: dict[str, type[Task]] = {}
+
+
+class TaskPoint(NamedTuple):
+    """A task and its derivatives at one state.
+
+    Attributes:
+        z: Task point G(q).
+        J: Jacobian G'(q), (m, n).
+        dz: Task velocity G' dq [m/s, rad/s].
+        drift: Ġ' dq, the task acceleration at ddq = 0 [m/s², rad/s²].
+    """
+
+    z: Point
+    J: Jacobian
+    dz: TaskVector
+    drift: TaskVector
+
+
+#: A task point from a tuple of its parts, in half the time that `TaskPoint(…)` takes.
+_task_point = partial(tuple.__new__, TaskPoint)
+
+
+class Task(ABC):
+    """A smooth function z = G(q) of the joints with its first two derivatives.
+
+    Attributes:
+        robot: Robot whose joints it depends on.
+        m: Dimension of the task.
+        size: Length of the flat array z; m for a vector task, more for a rotation or a pose.
+        labels: Name of each of the m coordinates.
+        units: Unit of each of the m coordinates.
+        kind: Name of the kind of task, given where the class is defined.
+        arguments: Names of what its constructor takes besides the robot; attributes of the same names keep it.
+    """
+
+    robot: Robot
+    m: int
+    size: int
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    kind: str = ""
+    arguments: tuple[str, ...] = ()
+    #: Whether the placements of all frames are computed before the hooks; the package's own tasks compute theirs.
+    _needs_frames: bool = True
+
+    def __init_subclass__(cls, kind: str = "", **rest: Any) -> None:
+        """Make the task known to `task_from_description` under the name `kind`."""
+        super().__init_subclass__(**rest)
+        cls._needs_frames = not cls.__module__.startswith("eos_pin.")
+        if kind:
+            cls.kind = kind
+            _KINDS[kind] = cls
+
+    def __init__(self, robot: Robot, labels: Sequence[str], units: Sequence[str], size: int | None = None) -> None:
+        self.robot = robot
+        self.labels, self.units = tuple(labels), tuple(units)
+        self.m = len(self.labels)
+        self.size = self.m if size is None else size
+        self._model = robot.model
+        self._data = workspace(robot.model)
+        self._rest = np.zeros(robot.n)
+        if self.m > robot.n:
+            raise InputError(
+                f"{self!r} has {self.m} coordinates, but {robot.name!r} only {robot.n} joints; choose a smaller task"
+            )
+
+    # -- one pass over Pinocchio for each order of derivative -------------------------------------------------------
+
+    def value(self, q: JointVector) -> Point:
+        """Task point z = G(q); Eq. (1)."""
+        pin.forwardKinematics(self._model, self._data, q)
+        if self._needs_frames:
+            pin.updateFramePlacements(self._model, self._data)
+        return self._z(self._data)
+
+    def linearize(self, q: JointVector) -> tuple[Point, Jacobian]:
+        """Task point z and Jacobian J = G'(q), (m, n); Eq. (2)."""
+        pin.computeJointJacobians(self._model, self._data, q)
+        if self._needs_frames:
+            pin.updateFramePlacements(self._model, self._data)
+        return self._z(self._data), self._matrix(self._J(self._data))
+
+    def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
+        """Task point, Jacobian, velocity and drift at the state (q, dq)."""
+        model, data = self._model, self._data
+        pin.forwardKinematics(model, data, q, dq, self._rest)
+        pin.computeJointJacobians(model, data)
+        if self._needs_frames:
+            pin.updateFramePlacements(model, data)
+        J = self._J(data)
+        if J.ndim == 1:
+            J = self._matrix(J)
+        return _task_point((self._z(data), J, J.dot(dq), self._drift(data)))
+
+    def _matrix(self, J: Array) -> Jacobian:
+        """J itself; with one joint, Pinocchio's bindings make a vector of what should be a column."""
+        return J if J.ndim == 2 else J[:, None]
+
+    @abstractmethod
+    def _z(self, data: pin.Data) -> Point:
+        """Task point, after a pass that computed the placements of joints and frames."""
+
+    @abstractmethod
+    def _J(self, data: pin.Data) -> Jacobian:
+        """Jacobian, after a pass that computed the joint Jacobians."""
+
+    @abstractmethod
+    def _drift(self, data: pin.Data) -> TaskVector:
+        """Drift, after a pass at zero joint acceleration."""
+
+    # -- many states at once -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def kinematics(self) -> Kinematics:
+        """Task points, Jacobians and searches for many states at once, compiled where the task is made of frames."""
+        return Kinematics(self)
+
+    def frame_parts(self) -> tuple[Part, ...] | None:
+        """Frames and what of their poses is the task, for compiled kinematics; None where it is something else."""
+        return None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Compiled kinematics are made anew where the task is unpickled.
+        return {key: value for key, value in self.__dict__.items() if key != "kinematics"}
+
+    # -- the group the points live in; a vector space unless a task says otherwise ----------------------------------
+
+    def minus(self, z1: Point, z0: Point) -> TaskVector:
+        """Step that leads from z0 to z1 [m, rad]; `plus` undoes it."""
+        return z1 - z0
+
+    def plus(self, z: Point, delta: TaskVector) -> Point:
+        """Point reached from z by the step `delta` [m, rad]."""
+        return z + delta
+
+    def local_rate(self, delta: TaskVector, dz: TaskVector) -> TaskVector:
+        """Time derivative of the local coordinates `delta = minus(z, z_bar)` where z moves with velocity dz."""
+        return dz
+
+    def local_margin(self, delta: TaskVector) -> float:
+        """Positive where `delta` is well inside the domain of the local coordinates; 1 at its centre."""
+        return 1.0
+
+    def point(self, value: PointLike) -> Point:
+        """Flat task point from what a person writes.
+
+        Raises:
+            InputError: Wrong shape, not finite, or not a rotation.
+        """
+        return vector(value, self.size, f"a point of {self!r}")
+
+    # -- identity ----------------------------------------------------------------------------------------------------
+
+    def describe(self) -> dict[str, Any]:
+        """Plain values from which `task_from_description` makes the same task on the same robot."""
+        return {"kind": self.kind} | {name: getattr(self, name) for name in self.arguments}
+
+    def __repr__(self) -> str:
+        words = [f"{key}={value!r}" for key, value in self.describe().items() if key != "kind" and value]
+        return f"{type(self).__name__}({', '.join(words)})"
+
+
+class StackedTask(Task, kind="stacked"):
+    """Several tasks at once, their coordinates one after the other.
+
+    Args:
+        tasks: Two or more tasks of the same robot.
+
+    Raises:
+        InputError: No tasks, tasks of different robots, or more coordinates than joints.
+    """
+
+    def __init__(self, tasks: Sequence[Task]) -> None:
+        if not tasks:
+            raise InputError("StackedTask needs at least one task")
+        if any(task.robot is not tasks[0].robot for task in tasks):
+            raise InputError("the parts of a StackedTask must belong to one Robot object, these belong to several")
+        self.tasks = tuple(tasks)
+        self._needs_frames = any(task._needs_frames for task in tasks)
+        labels = [f"{label}{i}" if len(tasks) > 1 else label for i, t in enumerate(tasks, 1) for label in t.labels]
+        if len({label for t in tasks for label in t.labels}) == sum(t.m for t in tasks):
+            labels = [label for t in tasks for label in t.labels]
+        units = [unit for t in tasks for unit in t.units]
+        super().__init__(tasks[0].robot, labels, units, sum(t.size for t in tasks))
+        self._slices = []
+        point = step = 0
+        for task in tasks:
+            self._slices.append((task, slice(point, point + task.size), slice(step, step + task.m)))
+            point, step = point + task.size, step + task.m
+
+    def _z(self, data: pin.Data) -> Point:
+        return np.concatenate([task._z(data) for task in self.tasks])
+
+    def _J(self, data: pin.Data) -> Jacobian:
+        return np.concatenate([task._J(data) for task in self.tasks])
+
+    def _drift(self, data: pin.Data) -> TaskVector:
+        return np.concatenate([task._drift(data) for task in self.tasks])
+
+    def frame_parts(self) -> tuple[Part, ...] | None:
+        parts = [task.frame_parts() for task in self.tasks]
+        return None if None in parts else tuple(part for some in parts for part in some or ())
+
+    def minus(self, z1: Point, z0: Point) -> TaskVector:
+        return np.concatenate([task.minus(z1[p], z0[p]) for task, p, _ in self._slices])
+
+    def plus(self, z: Point, delta: TaskVector) -> Point:
+        return np.concatenate([task.plus(z[p], delta[d]) for task, p, d in self._slices])
+
+    def local_rate(self, delta: TaskVector, dz: TaskVector) -> TaskVector:
+        return np.concatenate([task.local_rate(delta[d], dz[d]) for task, _, d in self._slices])
+
+    def local_margin(self, delta: TaskVector) -> float:
+        return min(task.local_margin(delta[d]) for task, _, d in self._slices)
+
+    def point(self, value: PointLike) -> Point:
+        array = vector(value, self.size, f"a point of {self!r}")
+        return np.concatenate([task.point(array[p]) for task, p, _ in self._slices])
+
+    def describe(self) -> dict[str, Any]:
+        return {"kind": "stacked", "tasks": [task.describe() for task in self.tasks]}
+
+
+def task_from_description(robot: Robot, description: Mapping[str, Any]) -> Task:
+    """Task that `Task.describe` described, on `robot`.
+
+    Raises:
+        InputError: The description is not of a task this version knows.
+        UnknownNameError: The robot has no such frame.
+    """
+    words = dict(description)
+    kind = words.pop("kind", None)
+    try:
+        if kind == StackedTask.kind:
+            return StackedTask([task_from_description(robot, part) for part in words["tasks"]])
+        return _KINDS[kind](robot, **words)
+    except UnknownNameError:
+        raise
+    except (KeyError, TypeError) as error:
+        kinds = ", ".join(sorted(_KINDS))
+        raise InputError(f"not the description of a task: {dict(description)!r}; the kinds are {kinds}") from error

@@ -1,0 +1,65 @@
+"""What tasks of one frame have in common: they are rows of its pose, its twist and its Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from eos_pin._arrays import Jacobian, JointVector, TaskVector
+from eos_pin._kernels.dispatch import kernels
+from eos_pin.robot.model import Robot
+from eos_pin.tasks.base import WORLD, Point, Task, TaskPoint
+
+#: Where the entries of a flat pose, the position followed by the rotation matrix row by row, are in a flat homogeneous
+#: matrix.
+FLAT = np.array([3, 7, 11, 0, 1, 2, 4, 5, 6, 8, 9, 10])
+
+
+class FrameTask(Task):
+    """A part of a frame's pose.
+
+    Args:
+        robot: The robot.
+        frame: Its name.
+        labels: Names of the coordinates.
+        units: Their units.
+        part: Which numbers of the flat pose are z.
+        rows: Which of (velocity of the origin, angular velocity) are dz.
+    """
+
+    def __init__(
+        self, robot: Robot, frame: str, labels: Sequence[str], units: Sequence[str], part: slice, rows: slice
+    ) -> None:
+        self.frame, self._part, self._rows = frame, part, rows
+        self._id = robot.frame_id(frame)
+        super().__init__(robot, labels, units, len(range(12)[part]))
+
+    def _z(self, data: pin.Data) -> Point:
+        return pin.updateFramePlacement(self._model, data, self._id).homogeneous.ravel()[FLAT[self._part]]
+
+    def _J(self, data: pin.Data) -> Jacobian:
+        return pin.getFrameJacobian(self._model, data, self._id, WORLD).reshape(6, -1)[self._rows]
+
+    def _drift(self, data: pin.Data) -> TaskVector:
+        return pin.getFrameClassicalAcceleration(self._model, data, self._id, WORLD).vector[self._rows]
+
+    # -- the same, compiled ------------------------------------------------------------------------------------------
+
+    @cached_property
+    def compiled(self) -> Any:
+        """`value`, `linearize` and `at` in one compiled object; None if they are not."""
+        where = self._model, self._data, self._id, self._part, self._rows, TaskPoint
+        return kernels and kernels.Frame(*where)
+
+    def value(self, q: JointVector) -> Point:
+        return self.compiled.value(q) if self.compiled else super().value(q)
+
+    def linearize(self, q: JointVector) -> tuple[Point, Jacobian]:
+        return self.compiled.linearize(q) if self.compiled else super().linearize(q)
+
+    def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
+        return self.compiled.at(q, dq) if self.compiled else super().at(q, dq)

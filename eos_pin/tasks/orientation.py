@@ -1,0 +1,198 @@
+"""Tasks of directions: orientation on SO(3), pose on SE(3), and the heading of a planar robot."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+from eos_pin._arrays import (
+    Array,
+    Jacobian,
+    TaskVector,
+    Vector,
+    as_floats,
+    frozen_copy,
+    vector,
+)
+from eos_pin._kernels.dispatch import use_compiled
+from eos_pin._kernels.flat import Part
+from eos_pin.errors import InputError
+from eos_pin.robot.model import Robot
+from eos_pin.tasks.base import WORLD, Point, PointLike, Task
+from eos_pin.tasks.frame import FLAT, FrameTask
+
+_IDENTITY = frozen_copy(np.eye(3))
+#: How far RᵀR may be from 1 in a rotation that is taken as it is.
+ORTHONORMAL = 1e-14
+
+
+class OrientationTask(FrameTask, kind="orientation"):
+    """Orientation of a frame on SO(3) [rad].
+
+    z is the rotation matrix, dz the angular velocity in world axes, `minus(R1, R0)` the rotation vector of R1 R0ᵀ.
+
+    Args:
+        robot: The robot.
+        frame: Frame that is oriented.
+    """
+
+    arguments = ("frame",)
+
+    def __init__(self, robot: Robot, frame: str) -> None:
+        super().__init__(robot, frame, ("rx", "ry", "rz"), ["rad"] * 3, slice(3, None), slice(3, None))
+
+    def frame_parts(self) -> tuple[Part, ...]:
+        return (Part("orientation", self._id),)
+
+    def minus(self, z1: Point, z0: Point) -> TaskVector:
+        return pin.log3(z1.reshape(3, 3).dot(z0.reshape(3, 3).T))
+
+    def plus(self, z: Point, delta: TaskVector) -> Point:
+        return pin.exp3(delta).dot(z.reshape(3, 3)).ravel()
+
+    def local_rate(self, delta: TaskVector, dz: TaskVector) -> TaskVector:
+        # Jexp3 is for a velocity in the moving frame; transposed it is for one in the frame at rest. Jlog3 would be its
+        # inverse for rotations up to π only, and the trial points of an integrator go beyond.
+        return np.linalg.solve(pin.Jexp3(delta).T, dz)
+
+    def local_margin(self, delta: TaskVector) -> float:
+        return 1.0 - math.sqrt(delta.dot(delta)) / math.pi
+
+    def point(self, value: PointLike) -> Point:
+        return _rotation(value.rotation if isinstance(value, pin.SE3) else value, f"a point of {self!r}")
+
+
+class PoseTask(FrameTask, kind="pose"):
+    """Pose of a frame on SE(3): position [m] and orientation [rad].
+
+    z is the position followed by the rotation matrix, dz = (velocity of the origin, angular velocity) in world axes.
+    `minus` is the logarithm whose curves are straight lines with a constant axis of rotation: the geodesics of SE(3).
+
+    Args:
+        robot: The robot.
+        frame: Frame that is placed.
+    """
+
+    arguments = ("frame",)
+
+    def __init__(self, robot: Robot, frame: str) -> None:
+        labels, units = ("x", "y", "z", "rx", "ry", "rz"), ["m"] * 3 + ["rad"] * 3
+        super().__init__(robot, frame, labels, units, slice(None), slice(None))
+
+    def frame_parts(self) -> tuple[Part, ...]:
+        return (Part("pose", self._id),)
+
+    def minus(self, z1: Point, z0: Point) -> TaskVector:
+        return pose_difference(z1, z0)
+
+    def plus(self, z: Point, delta: TaskVector) -> Point:
+        return np.concatenate((z[:3] + delta[:3], pin.exp3(delta[3:]).dot(z[3:].reshape(3, 3)).ravel()))
+
+    def local_rate(self, delta: TaskVector, dz: TaskVector) -> TaskVector:
+        return np.concatenate((dz[:3], np.linalg.solve(pin.Jexp3(delta[3:]).T, dz[3:])))
+
+    def local_margin(self, delta: TaskVector) -> float:
+        return 1.0 - math.sqrt(delta[3:].dot(delta[3:])) / math.pi
+
+    def point(self, value: PointLike) -> Point:
+        array = as_floats(value.homogeneous if isinstance(value, pin.SE3) else value, "a point of a PoseTask")
+        z = flat_pose(array)
+        return self._checked(array) if z is None else z
+
+    def _checked(self, array: Array) -> Point:
+        """Flat pose from one that has to be looked at more closely."""
+        name = f"a point of {self!r}"
+        if array.shape == (4, 4):
+            if array[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+                raise InputError(f"the last row of {name} must be 0, 0, 0, 1, got {array[3].tolist()}")
+            array = array.ravel()[FLAT]
+        z = vector(array, 12, f"{name}, a pin.SE3, a 4 × 4 matrix or a flat point,")
+        return np.concatenate((z[:3], _straight(z[3:], name)))
+
+
+class HeadingTask(Task, kind="heading"):
+    """Heading of a frame on a planar robot: its angle about the world's z axis [rad].
+
+    Args:
+        robot: A robot whose revolute joints all turn about the world's z axis.
+        frame: Frame whose heading counts.
+
+    Raises:
+        InputError: The frame can turn about another axis; use `OrientationTask`.
+    """
+
+    arguments = ("frame",)
+
+    def __init__(self, robot: Robot, frame: str) -> None:
+        self.frame = frame
+        self._id = robot.frame_id(frame)
+        super().__init__(robot, ("heading",), ("rad",))
+        tilting = pin.computeFrameJacobian(self._model, self._data, self._rest, self._id, WORLD).reshape(6, -1)[3:5]
+        if np.abs(tilting).max() > 1e-9:
+            raise InputError(f"frame {frame!r} of {robot.name!r} also turns about x or y; use OrientationTask")
+
+    def _z(self, data: pin.Data) -> Point:
+        R = pin.updateFramePlacement(self._model, data, self._id).rotation
+        return np.array([math.atan2(R[1, 0], R[0, 0])])
+
+    def _J(self, data: pin.Data) -> Jacobian:
+        return pin.getFrameJacobian(self._model, data, self._id, WORLD).reshape(6, -1)[5:]
+
+    def _drift(self, data: pin.Data) -> TaskVector:
+        return pin.getFrameClassicalAcceleration(self._model, data, self._id, WORLD).angular[2:]
+
+    def frame_parts(self) -> tuple[Part, ...]:
+        return (Part("heading", self._id),)
+
+    def minus(self, z1: Point, z0: Point) -> TaskVector:
+        return np.array([math.remainder(z1[0] - z0[0], math.tau)])
+
+
+@use_compiled
+def pose_difference(z1: Point, z0: Point) -> TaskVector:
+    """Difference of the positions of two flat poses, and the rotation vector from the second to the first."""
+    delta = (z1 - z0)[:6]
+    delta[3:] = pin.log3(z1[3:].reshape(3, 3).dot(z0[3:].reshape(3, 3).T))
+    return delta
+
+
+@use_compiled
+def flat_pose(array: Array) -> Point | None:
+    """Flat pose from one or from a homogeneous matrix; None if it is not right to rounding."""
+    if array.shape == (4, 4) and array[3].tolist() == [0.0, 0.0, 0.0, 1.0]:
+        array = array.ravel()[FLAT]
+    if array.shape != (12,) or not math.isfinite(array.dot(array)):
+        return None
+    R = array[3:].reshape(3, 3)
+    straight = np.abs(R.T.dot(R) - _IDENTITY).max() <= ORTHONORMAL and np.linalg.det(R) > 0.0
+    return array.copy() if straight else None
+
+
+def _rotation(value: PointLike, name: str) -> Vector:
+    """Flat rotation matrix from what a person writes.
+
+    Raises:
+        InputError: Not 9 numbers, or no rotation.
+    """
+    return _straight(vector(as_floats(value, f"the rotation of {name}").ravel(), 9, f"the rotation of {name}"), name)
+
+
+def _straight(flat: Vector, name: str) -> Vector:
+    """Flat rotation matrix whose digits were rounded, made orthonormal again.
+
+    Raises:
+        InputError: It is not orthonormal to 1e-6.
+    """
+    R = flat.reshape(3, 3)
+    E = R.T.dot(R) - _IDENTITY
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    largest = max(map(abs, E.ravel().tolist()))
+    if largest > 1e-6 or determinant < 0.0:
+        raise InputError(f"the rotation of {name} must be a 3 × 3 matrix with orthonormal columns and determinant 1")
+    if largest > ORTHONORMAL:
+        # R (RᵀR)^(−1/2), the nearest rotation, by its series to order E².
+        R = R - R.dot(0.5 * E - 0.375 * E.dot(E))
+    return R.ravel()

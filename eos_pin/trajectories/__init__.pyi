@@ -1,0 +1,16 @@
+from .base import Hold as Hold
+from .base import Target as Target
+from .base import Trajectory as Trajectory
+from .harmonic import Harmonic as Harmonic
+from .harmonic import circle as circle
+from .harmonic import figure_eight as figure_eight
+from .harmonic import line as line
+from .spline import Geodesic as Geodesic
+from .spline import cubic_spline as cubic_spline
+from .spline import minimum_jerk as minimum_jerk
+from .spline import pose_spline as pose_spline
+from .spline import rotation_spline as rotation_spline
+from .spline import spline_from_csv as spline_from_csv
+from .stacked import StackedTrajectory as StackedTrajectory
+from .waypoints import Waypoints as Waypoints
+from .waypoints import read_waypoints as read_waypoints

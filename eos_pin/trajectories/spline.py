@@ -1,0 +1,318 @@
+"""Curves through given points: splines of vectors and of rotations, and the geodesics of a task's own group."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from eos_pin._arrays import (
+    Array,
+    VectorLike,
+    as_floats,
+    frozen_copy,
+    vector,
+)
+from eos_pin.errors import InputError
+from eos_pin.tasks.base import Task
+from eos_pin.trajectories.base import Target, Trajectory
+from eos_pin.trajectories.stacked import StackedTrajectory
+from eos_pin.trajectories.waypoints import Waypoints, from_quaternions, read_waypoints
+
+#: Where the quaternions of a spline get as short as this between two rotations, it is no curve that anybody means.
+SHORT = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class Spline(Trajectory):
+    """A smooth curve through points of a vector task; it rests at its end, or repeats if it is closed.
+
+    Made by `minimum_jerk`, `cubic_spline` and `spline_from_csv`.
+
+    Attributes:
+        curve: A piecewise polynomial of SciPy with values (m,).
+        start: Time of its first point [s].
+        end: Time of its last point [s].
+        closed: Whether it repeats.
+    """
+
+    curve: Any
+    start: float
+    end: float
+    closed: bool = False
+
+    def __post_init__(self) -> None:
+        _set_times(self)
+
+    @cached_property
+    def _derivatives(self) -> tuple[Any, Any, Any]:
+        return self.curve, self.curve.derivative(1), self.curve.derivative(2)
+
+    def __call__(self, t: float) -> Target:
+        if self.closed:
+            t = self.start + (t - self.start) % (self.end - self.start)
+        z, dz, ddz = (d(min(max(t, self.start), self.end)) for d in self._derivatives)
+        if not self.closed and not self.start <= t < self.end:
+            return Target(z, 0.0 * dz, 0.0 * ddz)
+        return Target(z, dz, ddz)
+
+
+def minimum_jerk(points: Sequence[VectorLike] | Array, times: VectorLike) -> Spline:
+    """Curve through `points` at `times` with the least integral of squared jerk, at rest at both ends.
+
+    Args:
+        points: Points of a vector task, (K, m), K ≥ 2.
+        times: Increasing times [s], (K,).
+    """
+    from scipy.interpolate import make_interp_spline
+
+    points, times = _knots(points, times)
+    rest = np.zeros(points.shape[1])
+    # The minimizer is the quintic spline with velocity and acceleration given at its ends.
+    ends = [(1, rest), (2, rest)]
+    return Spline(make_interp_spline(times, points, k=5, bc_type=(ends, ends)), float(times[0]), float(times[-1]))
+
+
+def cubic_spline(points: Sequence[VectorLike] | Array, times: VectorLike, *, closed: bool | None = None) -> Spline:
+    """Cubic spline through `points` at `times`, twice continuously differentiable.
+
+    Args:
+        points: Points of a vector task, (K, m), K ≥ 2.
+        times: Increasing times [s], (K,).
+        closed: Whether it repeats; by default if its first and last point are equal. An open one rests at its ends.
+    """
+    from scipy.interpolate import CubicSpline
+
+    points, times = _knots(points, times)
+    if closed is None:
+        closed = len(points) > 2 and np.array_equal(points[0], points[-1])
+    elif closed and not np.array_equal(points[0], points[-1]):
+        raise InputError(f"the first and last point of a closed path must be equal, got {points[0]} and {points[-1]}")
+    curve = CubicSpline(times, points, bc_type="periodic" if closed else "clamped")
+    return Spline(curve, float(times[0]), float(times[-1]), closed)
+
+
+def spline_from_csv(path: str | Path) -> Spline:
+    """Cubic spline of a vector task through the rows of a text file; `path_from_csv` is the same for any task.
+
+    Columns are t, and x, y, z or z1, …, zm; see `eos_pin.trajectories.waypoints`. Times are counted from the first.
+
+    Raises:
+        InputError: The file cannot be used. It names the line.
+    """
+    table = read_waypoints(path)
+    columns = [table.values, table.position, None if table.heading is None else table.heading[:, None]]
+    if table.t is None or table.rotation is not None:
+        raise InputError(
+            f"{path}: a spline of a vector takes columns t, and x, y, z or z1, …, zm, got {', '.join(table.columns)}. "
+            "path_from_csv also takes poses, and chooses times that are not given"
+        )
+    check_rows(table)
+    spline = cubic_spline(np.hstack([block for block in columns if block is not None]), table.t)
+    object.__setattr__(spline, "notes", shifted(table))
+    return spline
+
+
+def check_rows(table: Waypoints) -> None:
+    """Refuse a table of one row where a path is meant."""
+    if len(table) < 2:
+        raise InputError(f"{table.source}: a path needs at least two rows; found {len(table)}")
+
+
+def shifted(table: Waypoints) -> tuple[str, ...]:
+    """Sentence that says that the times of a file are counted from the first, if that changes them."""
+    if not table.start:
+        return ()
+    return (f"the times of {table.source} begin at {table.start:.10g} s; they are counted from there",)
+
+
+@dataclass(frozen=True, eq=False)
+class RotationSpline(Trajectory):
+    """A smooth curve through rotations, for a task of orientation; it rests at its end, or repeats if it is closed.
+
+    It is the cubic spline through the quaternions, projected to length 1: R, angular velocity and angular acceleration
+    are continuous, and the curve does not depend on the axes of the world or of the frame. Made by `rotation_spline`.
+
+    Attributes:
+        curve: Spline of quaternions (x, y, z, w), not normalized.
+        start: Time of its first rotation [s].
+        end: Time of its last rotation [s].
+        closed: Whether it repeats.
+    """
+
+    curve: Any
+    start: float
+    end: float
+    closed: bool = False
+
+    def __post_init__(self) -> None:
+        _set_times(self)
+
+    @cached_property
+    def _derivatives(self) -> tuple[Any, Any, Any]:
+        return self.curve, self.curve.derivative(1), self.curve.derivative(2)
+
+    def __call__(self, t: float) -> Target:
+        if self.closed:
+            t = self.start + (t - self.start) % (self.end - self.start)
+        p, dp, ddp = (d(min(max(t, self.start), self.end)) for d in self._derivatives)
+        square = p.dot(p)
+        omega = _twice_vector(dp, p) / square
+        # The vector part of dp p̄ has the derivative ddp p̄, because that of dp times its own conjugate is zero.
+        alpha = _twice_vector(ddp, p) / square - (2.0 * p.dot(dp) / square) * omega
+        if not self.closed and not self.start <= t < self.end:
+            omega, alpha = np.zeros((2, 3))
+        return Target(_matrix(p / np.sqrt(square)), omega, alpha)
+
+
+def rotation_spline(
+    rotations: Sequence[Array] | Array, times: VectorLike, *, closed: bool | None = None
+) -> RotationSpline:
+    """Smooth curve through rotations at given times, twice continuously differentiable.
+
+    From one rotation to the next it takes the shorter way.
+
+    Args:
+        rotations: Rotation matrices, (K, 3, 3) or row by row (K, 9), K ≥ 2.
+        times: Increasing times [s], (K,).
+        closed: Whether it repeats; by default if its first and last rotation are equal. An open one rests at its ends.
+
+    Raises:
+        InputError: No rotations, or so far apart that the curve between them is not clear.
+    """
+    from scipy.interpolate import CubicSpline
+    from scipy.spatial.transform import Rotation
+
+    array = as_floats(rotations, "the rotations of a path")
+    if array.size != 9 * len(array):
+        raise InputError(f"the rotations of a path are matrices (K, 3, 3) or rows (K, 9), got shape {array.shape}")
+    flat, times = _knots(array.reshape(-1, 9), times)
+    R = flat.reshape(-1, 3, 3)
+    if np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max() > 1e-6 or not (np.linalg.det(R) > 0.0).all():
+        raise InputError("the rotations of a path must have orthonormal columns and determinant 1")
+    points = Rotation.from_matrix(R).as_quat()
+    # q and −q are the same rotation: each takes the sign that is nearer to the one before.
+    flips = np.where((points[1:] * points[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    points[1:] *= np.cumprod(flips)[:, None]
+    returns = float(points[0].dot(points[-1]))
+    equal = abs(returns) > 1.0 - 1e-14
+    if closed is None:
+        closed = len(points) > 2 and equal
+    elif closed and not equal:
+        raise InputError("the first and last rotation of a closed path must be equal")
+    if closed:
+        # After a full turn the quaternion has the other sign, and only after two the same.
+        second = np.sign(returns) * points
+        knots = np.concatenate((times, times[-1] + times[1:] - times[0]))
+        cycle = np.concatenate((points[:-1], second[:-1], points[:1]))
+        curve = CubicSpline(knots, cycle, bc_type="periodic")
+    else:
+        curve = CubicSpline(times, points, bc_type="clamped")
+    between = np.linspace(times[:-1], times[1:], 9)
+    shortest = np.linalg.norm(curve(between), axis=-1).min(axis=0)
+    if shortest.min() < SHORT:
+        k = int(shortest.argmin())
+        raise InputError(
+            f"the rotations at {times[k]:g} s and {times[k + 1]:g} s and those around them are too far apart to say "
+            "how to turn from one to the next; put others between them"
+        )
+    return RotationSpline(curve, float(times[0]), float(times[-1]), closed)
+
+
+def pose_spline(
+    positions: Sequence[VectorLike] | Array,
+    rotations: Sequence[Array] | Array,
+    times: VectorLike,
+    *,
+    closed: bool | None = None,
+) -> StackedTrajectory:
+    """Smooth curve through poses at given times, for a `PoseTask`, twice continuously differentiable.
+
+    Args:
+        positions: Positions [m], (K, 3), K ≥ 2.
+        rotations: Rotation matrices, (K, 3, 3).
+        times: Increasing times [s], (K,).
+        closed: Whether it repeats; by default if its first and last pose are equal. An open one rests at its ends.
+
+    Raises:
+        InputError: Not poses, or their rotations too far apart.
+    """
+    place, turn = cubic_spline(positions, times, closed=closed), rotation_spline(rotations, times, closed=closed)
+    if place.closed != turn.closed:
+        place, turn = cubic_spline(positions, times, closed=False), rotation_spline(rotations, times, closed=False)
+    return StackedTrajectory((place, turn))
+
+
+@dataclass(frozen=True, eq=False)
+class Geodesic(Trajectory):
+    """Straight lines of the task's own group from point to point, each at rest at both ends (minimum jerk).
+
+    For a pose this is the geodesic of SE(3): the origin on a straight line, the rotation about a constant axis.
+
+    Attributes:
+        task: Task whose `plus` and `minus` define the lines.
+        points: Points, (K, size), K ≥ 2.
+        times: Increasing times [s], (K,).
+    """
+
+    task: Task
+    points: Float[Array, "K size"]
+    times: Float[Array, " K"]
+
+    def __post_init__(self) -> None:
+        points, times = _knots([self.task.point(p) for p in self.points], self.times)
+        object.__setattr__(self, "points", frozen_copy(points))
+        object.__setattr__(self, "times", frozen_copy(times))
+        object.__setattr__(self, "begin", float(times[0]))
+        object.__setattr__(self, "duration", float(times[-1]))
+        steps = [self.task.minus(b, a) for a, b in pairwise(points)]
+        object.__setattr__(self, "_steps", steps)
+
+    def __call__(self, t: float) -> Target:
+        times = self.times
+        k = min(max(bisect_right(times, t) - 1, 0), len(times) - 2)
+        T = times[k + 1] - times[k]
+        s = min(max((t - times[k]) / T, 0.0), 1.0)
+        step = self._steps[k]  # type: ignore[attr-defined]
+        # 10 s³ − 15 s⁴ + 6 s⁵ and its derivatives; the axis of rotation is constant, so dz is along the step.
+        z = self.task.plus(self.points[k], (s**3 * (10 + s * (-15 + 6 * s))) * step)
+        return Target(z, (30 * (s * (1 - s)) ** 2 / T) * step, (60 * s * (1 - s) * (1 - 2 * s) / T**2) * step)
+
+
+def _knots(points: Sequence[VectorLike] | Array, times: VectorLike) -> tuple[Array, Array]:
+    try:
+        array = np.array([np.asarray(p, dtype=float) for p in points])
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the points of a path must be rows of equally many numbers: {error}") from error
+    if array.ndim != 2 or len(array) < 2 or not np.isfinite(array).all():
+        raise InputError(f"a path needs at least two finite points as rows, got shape {array.shape}")
+    knots = vector(times, len(array), "the times of a path")
+    if not (np.diff(knots) > 0.0).all():
+        raise InputError(f"the times of a path must increase, got {knots.tolist()}")
+    return array, knots
+
+
+def _set_times(spline: Spline | RotationSpline) -> None:
+    """Set when a spline begins and ends to move, or repeats."""
+    if spline.closed:
+        object.__setattr__(spline, "period", spline.end - spline.start)
+    else:
+        object.__setattr__(spline, "begin", spline.start)
+        object.__setattr__(spline, "duration", spline.end)
+
+
+def _twice_vector(a: Array, b: Array) -> Array:
+    """Twice the vector part of the product of a and the conjugate of b, quaternions (x, y, z, w)."""
+    return 2.0 * (b[3] * a[:3] - a[3] * b[:3] - np.cross(a[:3], b[:3]))
+
+
+def _matrix(quaternion: Array) -> Array:
+    """Rotation matrix of a quaternion (x, y, z, w) of length 1, row by row."""
+    return from_quaternions(quaternion[None, [3, 0, 1, 2]]).ravel()

@@ -1,0 +1,177 @@
+"""What the viewer draws: a robot, paths and obstacles, packed as triangles and as bodies that move.
+
+The packed form is one compressed block: a JSON header, then arrays. Vertices are 16-bit fractions of their mesh's
+bounding box (a tenth of a millimetre on a link of several metres), equal meshes are stored once, and motion is one
+pose per body and frame; that is what keeps a replay small enough to send by mail.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from eos_pin._arrays import (
+    Array,
+    JointVector,
+    Vector,
+    VectorLike,
+    frozen_copy,
+    vector,
+)
+from eos_pin.errors import InputError
+from eos_pin.planning.clearance import Obstacle
+from eos_pin.robot._data import workspace
+from eos_pin.robot.model import Robot
+from eos_pin.viewer._meshes import (
+    Mesh,
+    link_meshes,
+    mesh_file,
+    skeleton,
+    solid_mesh,
+)
+
+#: Points that a drawn path keeps at most.
+PATH_POINTS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What there is to see, apart from how it moves.
+
+    Attributes:
+        robot: The robot, drawn by its visual geometry, or as a skeleton of its joints if it has none.
+        paths: Curves in the world [m] by name, drawn as they are; such as the task's reference.
+        traces: Frames of the robot whose origin leaves a line as it moves, by the line's name; such as the actual path.
+        obstacles: Solids.
+        title: Heading.
+        caption: A sentence or two below it.
+
+    Raises:
+        InputError: A path is not a finite (k, 3) array.
+        UnknownNameError: The robot has no frame of a name in `traces`.
+    """
+
+    robot: Robot
+    paths: Mapping[str, Float[np.ndarray, "k 3"]] = field(default_factory=dict)
+    traces: Mapping[str, str] = field(default_factory=dict)
+    obstacles: tuple[Obstacle, ...] = ()
+    title: str = ""
+    caption: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "paths", {name: _path(name, points) for name, points in self.paths.items()})
+        for frame in self.traces.values():
+            self.robot.frame_id(frame)
+
+    def poses(self, t: float, q: JointVector) -> Float[np.ndarray, "bodies 7"]:
+        """Position [m] and quaternion (x, y, z, w) of each body: joints in the order of q, then obstacles."""
+        model = self.robot.model
+        data = workspace(model)
+        pin.forwardKinematics(model, data, q)
+        placements = [data.oMi[i] for i in range(1, model.njoints)] + [o.at(t) for o in self.obstacles]
+        return np.array([pin.SE3ToXYZQUAT(placement) for placement in placements])
+
+    def pack(self, t: Vector, q: Float[np.ndarray, "k n"]) -> bytes:
+        """The scene and its motion as one compressed block, made for the page in `player.html`.
+
+        Args:
+            t: Times of the frames [s], increasing.
+            q: Joints at these times [rad or m].
+        """
+        blocks: list[bytes] = []
+        parts = list(self._parts(blocks))
+        header = {
+            "title": self.title or self.robot.name,
+            "caption": self.caption,
+            "parts": parts,
+            "bodies": self.robot.n + len(self.obstacles),
+            "joints": self.robot.n,
+            "paths": [{"name": name, "points": _store(blocks, points, "f4")} for name, points in self.paths.items()],
+            "traces": [self._trace(name, frame) for name, frame in self.traces.items()],
+            "obstacles": [{"name": o.name, "color": o.color[:3]} for o in self.obstacles],
+            "times": _store(blocks, t, "f8"),
+            "poses": _store(blocks, np.array([self.poses(*frame) for frame in zip(t, q, strict=True)]), "f4"),
+        }
+        text = json.dumps(header).encode()
+        text += b" " * (-(4 + len(text)) % 8)
+        return gzip.compress(len(text).to_bytes(4, "little") + text + b"".join(blocks), 9, mtime=0)
+
+    def _trace(self, name: str, frame_name: str) -> dict[str, Any]:
+        frame = self.robot.model.frames[self.robot.frame_id(frame_name)]
+        return {"name": name, "body": int(frame.parentJoint) - 1, "point": frame.placement.translation.tolist()}
+
+    def _parts(self, blocks: list[bytes]) -> Iterator[dict[str, Any]]:
+        """Coloured meshes with the body that carries each; body −1 is the world."""
+        stored: dict[object, list[dict[str, Any]]] = {}
+        visual = self.robot.visual
+        objects = list(visual.geometryObjects) if visual is not None else []
+        for item in objects or skeleton(self.robot):
+            file = mesh_file(item)
+            known = (file, tuple(item.meshScale)) if file else item.name
+            if known not in stored:
+                stored[known] = [_store_mesh(blocks, piece) for piece in link_meshes(item)]
+            for mesh in stored[known]:
+                own = None if item.overrideMaterial else mesh["color"]
+                color = own or [float(c) for c in item.meshColor]
+                matrix = item.placement.homogeneous.T.ravel().tolist()
+                yield {**mesh, "color": color, "body": int(item.parentJoint) - 1, "matrix": matrix}
+        for i, obstacle in enumerate(self.obstacles):
+            mesh = _store_mesh(blocks, solid_mesh(obstacle.shape))
+            yield {**mesh, "color": obstacle.color, "body": self.robot.n + i, "matrix": np.eye(4).ravel().tolist()}
+
+
+def sampled(
+    robot: Robot, t: VectorLike, q: Float[np.ndarray, "k n"], *, rate: float
+) -> tuple[Float[np.ndarray, " frames"], Float[np.ndarray, "frames n"]]:
+    """Motion at evenly spaced times, at least `rate` a second, first and last instant included.
+
+    Raises:
+        InputError: Times do not increase, or shapes do not fit.
+    """
+    t = vector(t, None, "t")
+    q = np.asarray(q, dtype=float)
+    if q.shape != (t.size, robot.n) or t.size == 0 or not np.isfinite(q).all():
+        raise InputError(
+            f"q must hold {robot.n} finite joint values for each of the {t.size} times in t; got shape {q.shape}"
+        )
+    if (np.diff(t) < 0.0).any():
+        raise InputError("t must not decrease")
+    frames = np.linspace(t[0], t[-1], int(np.ceil((t[-1] - t[0]) * rate)) + 1)
+    return frames, np.column_stack([np.interp(frames, t, column) for column in q.T])
+
+
+def _path(name: str, points: Array) -> Array:
+    points = np.asarray(points, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points) or not np.isfinite(points).all():
+        raise InputError(f"path {name!r} must be finite points of shape (k, 3), got shape {points.shape}")
+    kept = np.linspace(0, len(points) - 1, min(len(points), PATH_POINTS)).astype(int)
+    return frozen_copy(points[kept])
+
+
+def _store(blocks: list[bytes], values: Array, kind: str) -> dict[str, Any]:
+    """Append an array to the binary part; says where it is, in bytes from the end of the header."""
+    array = np.ascontiguousarray(values, dtype=np.dtype(kind).newbyteorder("<"))
+    start = sum(map(len, blocks))
+    data = array.tobytes()
+    blocks.append(data + b"\0" * (-len(data) % 8))
+    return {"kind": kind, "start": start, "count": array.size}
+
+
+def _store_mesh(blocks: list[bytes], mesh: Mesh) -> dict[str, Any]:
+    vertices, faces, color = mesh
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    size = np.maximum(high - low, 1e-9)
+    return {
+        "low": low.tolist(),
+        "size": size.tolist(),
+        "vertices": _store(blocks, np.round((vertices - low) / size * 65535.0), "u2"),
+        "faces": _store(blocks, faces, "u2" if len(vertices) < 65536 else "u4"),
+        "color": color,
+    }

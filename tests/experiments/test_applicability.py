@@ -1,0 +1,172 @@
+"""Nothing is ignored silently: an option that changes nothing is refused, and what is not known is told."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import eos_pin
+from eos_pin import Controller, Hold, InputError, PositionTask, StackedTask, Task, load_robot, simulate
+from eos_pin.cli.main import main
+from eos_pin.cli.output import console, run_table
+from eos_pin.experiments.applicability import RULES
+from eos_pin.experiments.defaults import fitting_path, make_task, rest_posture
+from eos_pin.experiments.options import ControlOptions, PathOptions, RunOptions
+
+pytestmark = pytest.mark.usefixtures("unchecked")
+
+REFUSED = [
+    ("track panda --path hold --size 0.1", "--size 0.1 does not apply: it belongs to the paths eight, circle and line"),
+    ("track panda --path hold --plane yz", "--plane yz does not apply"),
+    ("track panda --path hold --period 5", "--period 5.0 does not apply"),
+    ("track panda --path hold --cycles 5", "--cycles 5 does not apply: a robot that holds still has no rounds"),
+    ("track panda --path some.csv --size 0.1", "--size 0.1 does not apply"),
+    ("track panda --path some.csv --plane yz", "--plane yz does not apply"),
+    ("track panda --path some.csv --period 3", "--period 3.0 does not apply"),
+    ("track panda --cycles 5 --duration 9", "--cycles 5 does not apply: the duration is given"),
+    ("compare panda --cycles 5 --duration 9", "--cycles 5 does not apply"),
+    ("compare panda --path hold --size 0.1", "--size 0.1 does not apply"),
+    ("track panda --self-motion damp --swing 0.1", "--swing 0.1 does not apply"),
+    ("track panda --self-motion posture --v 0.1 0 0 0", "--v 0.1 0.0 0.0 0.0 does not apply"),
+    ("track panda --self-motion energy --kp-self-motion 9", "--kp-self-motion 9.0 does not apply"),
+    ("track panda --self-motion damp --kp-self-motion 9", "--kp-self-motion 9.0 does not apply"),
+    ("track panda --self-motion free --kd-self-motion 9", "--kd-self-motion 9.0 does not apply"),
+    ("track panda --controller task-space --kp 50", "--kp 50.0 does not apply: traditional controllers have gains"),
+    ("track panda --controller task-space --kd 50", "--kd 50.0 does not apply"),
+    ("track panda --controller set-point --swing 0.1", "--swing 0.1 does not apply"),
+    ("track panda --controller set-point --chart-margin 0.6", "--chart-margin 0.6 does not apply"),
+    ("track panda --controller set-point --self-motion damp", "--self-motion damp does not apply"),
+    ("track panda --substeps 2", "--substeps 2 does not apply: it belongs to sampled runs"),
+    ("track panda --control-rate 500 --push-time 1 2", "--push-time 1.0 2.0 does not apply: there is no push"),
+    ("track panda --control-rate 500 --rtol 1e-6", "--rtol 1e-06 does not apply: it belongs to continuous runs"),
+    ("track panda --control-rate 500 --method RK45", "--method RK45 does not apply"),
+    ("track panda --seed 3", "--seed 3 does not apply: nothing is random"),
+    ("compare panda --control-rate 500 --seed 3", "--seed 3 does not apply"),
+    ("track panda --task pose --axes xy", "axes 'xy' do not apply to a task of pose"),
+    ("track panda --task orientation --axes xy", "axes 'xy' do not apply to a task of orientation"),
+    ("track ppr --task heading --axes xy", "axes 'xy' do not apply to a task of heading"),
+    ("info panda --seed 3", "--seed 3 does not apply"),
+    ("info panda --csv a.csv", "--csv a.csv does not apply"),
+    ("ik panda --seed 3", "--seed 3 does not apply"),
+    ("ik panda --to 0.4 0.1 0.5 --path a.csv", "--to and --path exclude each other"),
+    ("replay run.npz --seed 3", "--seed 3 does not apply"),
+    ("robots --seed 3", "--seed 3 does not apply"),
+    ("robots --csv a.csv", "a list of robots cannot be drawn"),
+    ("track ur5 --task pose --swing 0.1", "no self-motion to command: the task takes all joints (r = 0)"),
+    ("track ur5 --task pose --self-motion posture", "no self-motion to command"),
+    ("sweep panda --seeds 2", "--seeds 2 does not apply: nothing is random"),
+    ("sweep panda --path hold --size 0.1,0.2", "--size 0.1 does not apply"),
+    ("sweep panda --controller set-point --kp 50", "--kp 50.0 does not apply"),
+]
+
+
+@pytest.mark.parametrize(("words", "told"), REFUSED, ids=[words for words, _ in REFUSED])
+def test_an_option_that_changes_nothing_is_refused(words: str, told: str, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(words.split()) == 2
+    assert told in " ".join(capsys.readouterr().err.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_rules_name_options_that_exist() -> None:
+    known = {each.name for kind in (PathOptions, ControlOptions, RunOptions) for each in fields(kind)} | {"seed"}
+    assert {name for rule in RULES for name in rule.names} <= known
+
+
+@pytest.mark.parametrize("option", [{"size": 0.1}, {"plane": "yz"}, {"period": 3.0}])
+def test_a_path_that_holds_still_takes_no_shape(panda, option) -> None:
+    task = make_task(panda)
+    with pytest.raises(InputError, match="holds still"):
+        fitting_path(task, rest_posture(task), shape="hold", **option)
+
+
+def test_a_planar_pose_has_axes(ppr) -> None:
+    assert make_task(ppr, "pose", axes="x").m == 2
+
+
+def test_a_task_of_all_joints_is_told(ur5) -> None:
+    task = make_task(ur5, "pose")
+    q = rest_posture(task)
+    run = simulate(ur5, eos_pin.EosController(task, Hold(task.value(q), task.m)), q, duration=0.05)
+    with console.capture() as capture:
+        console.print(run_table(run.summary()))
+    assert "(r = 0)" in capture.get()
+
+
+# -- what users write themselves -------------------------------------------------------------------------------------
+
+
+class Falling(Controller):
+    """No torque."""
+
+    def torque(self, t, q, dq, state):
+        return 0.0 * q
+
+
+class Aimless(Falling):
+    def __init__(self, task):
+        self.task = task
+
+
+class Open(Falling):
+    task = reference = None
+
+
+def test_a_controller_of_ones_own_without_task_or_reference_is_told(panda) -> None:
+    task = make_task(panda)
+    q = rest_posture(task)
+    runs = [simulate(panda, controller, q, duration=0.02) for controller in (Falling(), Aimless(task), Open())]
+    assert [run.status for run in runs] == ["finished"] * 3
+    assert "Falling has no attribute task and no reference" in runs[0].message
+    assert "Aimless has no attribute reference" in runs[1].message
+    assert runs[2].message == ""
+
+
+class Height(Task, kind="height_of_a_frame"):
+    """Height of a frame by what Pinocchio has computed."""
+
+    def __init__(self, robot):
+        self._frame = robot.frame_id("panda_hand_tcp")
+        super().__init__(robot, ["z"], ["m"])
+
+    def _z(self, data):
+        return np.array(data.oMf[self._frame].translation[2:])
+
+    def _J(self, data):
+        return pin.getFrameJacobian(self._model, data, self._frame, pin.LOCAL_WORLD_ALIGNED)[2:3]
+
+    def _drift(self, data):
+        return pin.getFrameClassicalAcceleration(self._model, data, self._frame, pin.LOCAL_WORLD_ALIGNED).linear[2:]
+
+
+@pytest.mark.parametrize("stacked", [False, True])
+def test_a_task_of_ones_own_may_read_placements_of_frames(panda, stacked: bool) -> None:
+    own = Height(panda)
+    task = StackedTask([PositionTask(panda, "panda_hand_tcp", "xy"), own]) if stacked else own
+    expected = PositionTask(panda, "panda_hand_tcp", "xyz" if stacked else "z")
+    random = np.random.default_rng(1)
+    for _ in range(3):
+        q, dq = random.uniform(-1.0, 1.0, (2, panda.n))
+        # Each in a new place, so that placements left by an earlier call do not pass.
+        assert np.allclose(task.value(q), expected.value(q), atol=1e-12)
+        assert np.allclose(task.linearize(-q)[0], expected.value(-q), atol=1e-12)
+        assert np.allclose(task.at(0.5 * q, dq).z, expected.value(0.5 * q), atol=1e-12)
+
+
+def test_the_packages_own_tasks_compute_only_the_frames_they_need(panda) -> None:
+    assert not any(make_task(panda, kind)._needs_frames for kind in ("position", "pose", "orientation", "com"))
+
+
+@pytest.mark.parametrize("source", [None, 7, 1.5, ["panda"], pin.Model()], ids=lambda source: type(source).__name__)
+def test_what_is_no_name_or_path_of_a_robot_is_refused(source) -> None:
+    with pytest.raises(InputError, match=rf"name, path or text of a URDF, got {type(source).__name__}.*Robot\(model\)"):
+        load_robot(source)
+
+
+def test_an_open_file_is_no_source_of_a_robot(tmp_path: Path) -> None:
+    with (tmp_path / "a.urdf").open("w") as file, pytest.raises(InputError, match="got TextIOWrapper"):
+        load_robot(file)

@@ -1,0 +1,30 @@
+"""Random robots and tasks, a few of the thousand of benchmarks/random_chains.py."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+
+import random_chains
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("seed", range(25))
+def test_everything_holds_on_a_random_chain(seed: int) -> None:
+    figures = random_chains.examine(seed)
+    assert figures.wrong == (), figures
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_wrong_figure_is_noticed() -> None:
+    figures = random_chains.examine(0)
+    for name in random_chains.BOUNDS:
+        assert replace(figures, **{name: np.nan}).wrong == (name,)
+    assert replace(figures, endings="track singular").wrong == ("endings",)
+    assert replace(figures, anywhere="diverged").wrong == ("anywhere",)

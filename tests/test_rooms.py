@@ -1,0 +1,131 @@
+"""The rooms of the package: which room may import which, and which third-party packages it may use."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "eos_pin"
+
+#: A room may import only rooms above it in this table. Of third-party packages it may import NumPy, jaxtyping and
+#: lazy_loader (`errors` none of them) and those in its row. An import inside a function counts like any other.
+TABLE = """
+    errors
+    _arrays
+    _files
+    _kernels        pinocchio scipy
+    robot           coal lxml pinocchio yourdfpy
+    tasks           pinocchio
+    trajectories    scipy
+    charts          scipy
+    planning        coal pinocchio scipy
+    control         daqp scipy
+    simulation      mujoco pinocchio scipy
+    experiments     joblib pinocchio pyarrow
+    viewer          coal pinocchio tornado trimesh
+    plots           matplotlib
+    cli             matplotlib rich tyro
+    paper           PIL coal matplotlib rich
+"""
+ROOMS = {name: set(packages) for name, *packages in (line.split() for line in TABLE.strip().splitlines())}
+#: What a scripted reader of the package sees: at most this many entries on its top level, and in a room.
+MOST_ENTRIES, MOST_MODULES, MOST_LINES = 16, 16, 400
+#: `__init__` and `__main__` are the names that Python itself looks for.
+PATHS = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE or not path.name.startswith("__"))
+
+
+def name_of(path):
+    """Dotted name of a module below the package."""
+    return ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__")
+
+
+MODULES = {name_of(path): path for path in PATHS}
+
+
+def imported(path):
+    """Modules that a file imports, at its top or inside a function, as (dotted name, line)."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name}:{node.lineno} imports relatively; write the module's full name"
+            # `from eos_pin.robot import model` imports eos_pin.robot.model.
+            whole = [f"{node.module}.{alias.name}".removeprefix("eos_pin.") for alias in node.names]
+            inside = node.module.split(".")[0] == "eos_pin"
+            yield from (
+                (f"eos_pin.{name}" if inside and name in MODULES else node.module, node.lineno) for name in whole
+            )
+
+
+def inside(path):
+    """Modules of the package that a file imports."""
+    return [(name.removeprefix("eos_pin."), line) for name, line in imported(path) if name.startswith("eos_pin.")]
+
+
+def test_rooms_table_lists_every_room():
+    found = {name.split(".")[0] for name in MODULES}
+    assert set(ROOMS) == found, "add each new room of eos_pin to the table of this test, where it belongs"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_module_imports_only_rooms_below(module):
+    room, order = module.split(".")[0], list(ROOMS)
+    for name, line in inside(MODULES[module]):
+        other = name.split(".")[0]
+        assert order.index(other) <= order.index(room), f"{module}:{line} imports {other}, which lies below {room}"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_module_uses_only_packages_of_its_room(module):
+    room = module.split(".")[0]
+    used = {name.split(".")[0] for name, _ in imported(MODULES[module])} - sys.stdlib_module_names - {"eos_pin"}
+    allowed = ROOMS[room] | (set() if room == "errors" else {"numpy", "jaxtyping", "lazy_loader"})
+    assert used <= allowed, f"{module} imports {sorted(used - allowed)}; the row of {room} does not list it"
+
+
+def test_rooms_list_no_package_in_vain():
+    used = {room: set() for room in ROOMS}
+    for module, path in MODULES.items():
+        used[module.split(".")[0]] |= {name.split(".")[0] for name, _ in imported(path)}
+    assert {room: packages - used[room] for room, packages in ROOMS.items() if packages - used[room]} == {}
+
+
+def test_modules_of_a_room_form_no_cycle():
+    arrows = {module: {name for name, _ in inside(path) if name in MODULES} for module, path in MODULES.items()}
+    done, open_ = set(), []
+
+    def visit(module):
+        assert module not in open_, f"a cycle of imports: {' -> '.join([*open_, module])}"
+        if module not in done:
+            open_.append(module)
+            for other in sorted(arrows[module] - {module}):
+                visit(other)
+            open_.pop()
+            done.add(module)
+
+    for module in arrows:
+        visit(module)
+
+
+def test_nothing_but_scripts_imports_the_paper_room():
+    for module, path in MODULES.items():
+        if not module.startswith("paper"):
+            assert not [name for name, _ in inside(path) if name.startswith("paper")], module
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.p*y*")), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_module_is_short(path):
+    if path.suffix in (".py", ".pyx", ".pxd", ".pyi"):
+        lines = len(path.read_text(encoding="utf-8").splitlines())
+        assert lines <= MOST_LINES, f"{path.name} has {lines} lines: split it by concept"
+
+
+def test_package_is_seen_at_once():
+    built = ("__", "py.typed")
+    entries = [path.name for path in PACKAGE.iterdir() if not path.name.startswith(built) and path.suffix != ".so"]
+    assert len(entries) <= MOST_ENTRIES, sorted(entries)
+    for room in ROOMS:
+        assert sum(name.startswith(f"{room}.") for name in MODULES) <= MOST_MODULES, room

@@ -1,0 +1,414 @@
+"""The page in a real browser: what a person would see of it."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import gzip
+import io
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import threading
+import time
+import zlib
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import Request, url2pathname, urlopen
+
+import coal
+import numpy as np
+import pytest
+from PIL import Image
+from tornado.websocket import websocket_connect
+
+from eos_pin.robot.model import Robot
+from eos_pin.viewer.scene import Obstacle, Scene
+from eos_pin.viewer.viewer import Viewer, write_html
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(
+        CHROMIUM is None and not os.environ.get("EOS_PIN_NEEDS_BROWSER"),
+        reason="no Chromium on this machine; install the package chromium",
+    ),
+]
+FLAGS = [
+    *("--headless", "--no-sandbox", "--disable-gpu", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+    *("--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update"),
+    *("--disable-sync", "--mute-audio", "--window-size=1000,640", "--remote-debugging-port=0"),
+]
+
+
+class Chromium:
+    """A headless browser, spoken to by the DevTools protocol."""
+
+    def __init__(self, profile: str) -> None:
+        assert CHROMIUM
+        self.loop = asyncio.new_event_loop()
+        silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        self.process = subprocess.Popen([CHROMIUM, *FLAGS, f"--user-data-dir={profile}", "about:blank"], **silent)
+        file = Path(profile, "DevToolsActivePort")
+        wait_for(lambda: file.is_file() and file.read_text().count("\n"), 30.0)
+        self.port = int(file.read_text().split()[0])
+
+    def open(self, url: str, **how: Any) -> Page:
+        return Page(self, url, **how)
+
+    def close(self) -> None:
+        self.process.terminate()
+        self.process.wait(10)
+        self.loop.close()
+
+
+class Page:
+    """One tab."""
+
+    def __init__(
+        self, browser: Chromium, url: str, *, before: tuple[tuple[str, dict[str, Any]], ...] = (), wait: bool = True
+    ) -> None:
+        self.loop, self.events, self.number = browser.loop, [], 0
+        self.base = f"http://127.0.0.1:{browser.port}/json"
+        with urlopen(Request(f"{self.base}/new?about:blank", method="PUT"), timeout=10) as answer:
+            self.tab = json.load(answer)
+        self.socket = self.loop.run_until_complete(self._connect())
+        for domain in ("Page", "Network", "Runtime", "Log"):
+            self.do(f"{domain}.enable")
+        for method, parameters in before:
+            self.do(method, **parameters)
+        self.do("Page.navigate", url=url)
+        if wait:
+            wait_for(lambda: self.js("document.body && document.body.dataset.state"), 30.0)
+
+    async def _connect(self) -> Any:
+        return await websocket_connect(self.tab["webSocketDebuggerUrl"], max_message_size=2**28)
+
+    def do(self, method: str, **parameters: Any) -> dict[str, Any]:
+        self.number += 1
+        return self.loop.run_until_complete(asyncio.wait_for(self._do(method, parameters), 30))
+
+    async def _disconnect(self) -> None:
+        self.socket.close()
+        while await self.socket.read_message() is not None:
+            pass
+
+    async def _do(self, method: str, parameters: dict[str, Any]) -> dict[str, Any]:
+        await self.socket.write_message(json.dumps({"id": self.number, "method": method, "params": parameters}))
+        while True:
+            message = await self.socket.read_message()
+            assert isinstance(message, str), "the browser has gone"
+            answer = json.loads(message)
+            if answer.get("id") == self.number:
+                assert "result" in answer, answer
+                return answer["result"]
+            self.events.append(answer)
+
+    def js(self, expression: str) -> Any:
+        return self.do("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
+
+    def picture(self) -> np.ndarray:
+        data = self.do("Page.captureScreenshot", format="png")["data"]
+        return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB"), dtype=float)
+
+    def key(self, key: str) -> None:
+        text = {"text": key} if len(key) == 1 else {}
+        self.do("Input.dispatchKeyEvent", type="keyDown", key=key, **text)
+        self.do("Input.dispatchKeyEvent", type="keyUp", key=key)
+
+    def clock(self) -> float:
+        return float(self.js("document.getElementById('seek').value"))
+
+    def requests(self) -> list[str]:
+        return [
+            event["params"]["request"]["url"] for event in self.events if event["method"] == "Network.requestWillBeSent"
+        ]
+
+    def troubles(self) -> list[Any]:
+        self.js("0")  # events that are on their way arrive before the answer
+        wrong = ("Runtime.exceptionThrown", "Log.entryAdded")
+        return [
+            event
+            for event in self.events
+            if event["method"] in wrong and event["params"].get("entry", {}).get("level", "error") == "error"
+        ]
+
+    def close(self) -> None:
+        self.loop.run_until_complete(self._disconnect())
+        with urlopen(f"{self.base}/close/{self.tab['id']}", timeout=10):
+            pass
+
+
+def wait_for(condition: Any, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Chromium]:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        browser = Chromium(profile)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def motion() -> tuple[np.ndarray, np.ndarray]:
+    t = np.linspace(0.0, 10.0, 401)
+    rest = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.8, 0.8])
+    return t, rest + 0.4 * np.sin(0.2 * np.pi * t[:, None] * np.array([1, 2, 1, 2, 1, 2, 1]))
+
+
+@pytest.fixture(scope="module")
+def replay(panda: Robot, motion: tuple[np.ndarray, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> str:
+    t, q = motion
+    path = tmp_path_factory.mktemp("replay") / "panda.html"
+    reference = np.array([panda.placement(each, "panda_hand").translation for each in q])
+    scene = Scene(
+        panda,
+        paths={"reference": reference},
+        traces={"actual": "panda_hand"},
+        obstacles=(Obstacle(coal.Sphere(0.08), [0.6, 0.4, 0.3], name="ball"),),
+        title="panda </script> & <b>friends</b>",
+    )
+    return write_html(path, scene, t, q).as_uri()
+
+
+def background(picture: np.ndarray) -> np.ndarray:
+    """What the page looks like where there is nothing: its gradient runs from top to bottom."""
+    return picture[:, -1:]
+
+
+def test_replay_shows_the_robot_and_it_moves(chromium: Chromium, replay: str) -> None:
+    page = chromium.open(f"{replay}#t=1&paused")
+    first = page.picture()
+    assert page.js("document.body.dataset.state") == "ready"
+    assert page.clock() == pytest.approx(1.0)
+    page.js("document.getElementById('seek').value = 3; document.getElementById('seek').oninput()")
+    time.sleep(0.3)
+    second = page.picture()
+    middle = (slice(100, 520), slice(300, 700))
+    seen = np.abs(first - background(first))[middle].max(axis=-1) > 40
+    assert 0.05 < seen.mean() < 0.6
+    moved = np.abs(first - second)[middle].max(axis=-1) > 40
+    assert moved.mean() > 0.03
+    assert not page.troubles()
+    page.close()
+
+
+def test_replay_makes_no_request(chromium: Chromium, replay: str) -> None:
+    page = chromium.open(f"{replay}#paused")
+    time.sleep(0.3)
+    page.js("0")
+    assert page.requests()[0].startswith("file://")
+    assert all(url.startswith(("file://", "data:", "blob:")) for url in page.requests())
+    assert len([url for url in page.requests() if url.startswith("file://")]) == 1
+    # Even a page that wanted to could not.
+    assert (
+        page.js("fetch('http://127.0.0.1:9/').then(() => 'sent', e => 'refused').then(r => window.outcome = r), 0") == 0
+    )
+    wait_for(lambda: page.js("window.outcome"), 5.0)
+    assert page.js("window.outcome") == "refused"
+    assert not any("127.0.0.1:9" in url for url in page.requests())
+    page.close()
+
+
+def test_replay_plays_pauses_steps_and_changes_speed(chromium: Chromium, replay: str) -> None:
+    page = chromium.open(replay)
+    assert page.js("document.title") == "panda </script> & <b>friends</b>"
+    wait_for(lambda: page.clock() > 0.3, 20.0)
+    page.key(" ")
+    here = page.clock()
+    time.sleep(0.3)
+    assert page.clock() == here
+    page.key("ArrowRight")
+    assert page.clock() == pytest.approx(here + 1 / 30)
+    page.key("Home")
+    assert page.clock() == 0.0
+    page.js("const s = document.getElementById('speed'); s.value = '5'; s.onchange()")
+    page.key(" ")
+    started = time.monotonic()
+    wait_for(lambda: page.clock() > 2.0, 20.0)
+    assert time.monotonic() - started < 10.0
+    page.key("End")
+    assert page.clock() == pytest.approx(10.0)
+    names = page.js("[...document.querySelectorAll('#legend button')].map(b => b.textContent).join()")
+    assert names == "reference,actual,ball"
+    assert not page.troubles()
+    page.close()
+
+
+def test_live_view_follows_the_run_in_two_browsers(chromium: Chromium, panda: Robot, motion: Any) -> None:
+    t, q = motion
+    with Viewer(Scene(panda, traces={"actual": "panda_hand"}), q[0], port=0) as viewer:
+        pages = [chromium.open(viewer.url) for _ in range(2)]
+        wait_for(lambda: viewer.browsers == 2, 10.0)
+        for instant, joints in zip(t[:40], q[:40], strict=True):
+            viewer.show(instant, joints)
+        for page in pages:
+            wait_for(lambda page=page: page.clock() > 0.7, 10.0)
+            assert page.js("document.getElementById('live').textContent") == "live"
+        pages[0].close()
+        wait_for(lambda: viewer.browsers == 1, 10.0)
+        viewer.show(t[40], q[40])
+        wait_for(lambda: pages[1].clock() == pytest.approx(t[40]), 10.0)
+        viewer.play(t, q)
+        wait_for(lambda: pages[1].js("Number(document.getElementById('seek').max)") == 10.0, 10.0)
+        wait_for(lambda: 0.2 < pages[1].clock() < 5.0, 10.0)
+    wait_for(lambda: pages[1].js("document.getElementById('live').textContent") == "ended", 10.0)
+    assert not pages[1].troubles()
+    pages[1].close()
+
+
+# -- every state of the page has a picture or a word -------------------------------------------------------------
+
+
+def visible(page: Page) -> str:
+    """All text that a person sees."""
+    return str(page.js("document.body.innerText") or "")
+
+
+def test_the_picture_is_there_when_the_page_has_loaded(replay: str, tmp_path: Path) -> None:
+    """The command of the README, which takes a picture as soon as the page counts as loaded."""
+    sizes = []
+    for k in range(3):
+        file = tmp_path / f"{k}.png"
+        flags = [flag for flag in FLAGS if not flag.startswith("--remote-debugging")]
+        words = [CHROMIUM, *flags, f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={file}"]
+        subprocess.run([*words, f"{replay}#t=1.2&paused"], capture_output=True, timeout=60, check=True)
+        picture = np.asarray(Image.open(file).convert("RGB"), dtype=float)
+        assert picture.shape[:2] == (640, 1000)
+        seen = np.abs(picture - background(picture))[100:520, 300:700].max(axis=-1) > 40
+        sizes.append(seen.mean())
+    assert min(sizes) > 0.05
+
+
+def test_the_page_unpacks_what_python_has_packed(chromium: Chromium, replay: str) -> None:
+    page = chromium.open(f"{replay}#paused")
+    random = np.random.default_rng(0)
+    noise = random.bytes(70_000)
+    texts = (b"", b"a", b"abcabc" * 20_000, noise, noise[:9_000] * 5, bytes(range(256)) * 300, b"x" * 300_000)
+    for data in texts:
+        for level in (0, 1, 9):
+            packed = base64.b64encode(gzip.compress(data, level, mtime=0)).decode()
+            bytes_of = f"Uint8Array.from(atob('{packed}'), c => c.charCodeAt(0))"
+            digest = (
+                f"(() => {{ const out = new Uint8Array(inflate({bytes_of})); let sum = 7; "
+                "for (const byte of out) sum = (31 * sum + byte) % 1000003; return out.length + ' ' + sum; })()"
+            )
+            total = 7
+            for byte in data:
+                total = (31 * total + byte) % 1000003
+            assert page.js(digest) == f"{len(data)} {total}"
+    # Codes that are agreed on rather than sent are for short texts only.
+    fixed = zlib.compressobj(9, zlib.DEFLATED, -15, strategy=zlib.Z_FIXED)
+    raw = fixed.compress(b"abcd" * 50) + fixed.flush()
+    packed = base64.b64encode(bytes(10) + raw + bytes(4) + (200).to_bytes(4, "little")).decode()
+    bytes_of = f"Uint8Array.from(atob('{packed}'), c => c.charCodeAt(0))"
+    assert page.js(f"new TextDecoder().decode(inflate({bytes_of}))") == "abcd" * 50
+    page.close()
+
+
+def test_a_page_that_is_still_coming_says_so(chromium: Chromium, replay: str) -> None:
+    text = Path(url2pathname(urlsplit(replay).path)).read_bytes()
+    go_on = threading.Event()
+
+    class Slow(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.end_headers()
+            self.wfile.write(text[: len(text) // 2])
+            self.wfile.flush()
+            go_on.wait(30.0)
+            self.wfile.write(text[len(text) // 2 :])
+
+        def log_message(self, *args: Any) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Slow)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        page = chromium.open(f"http://127.0.0.1:{server.server_port}/#paused", wait=False)
+        wait_for(lambda: "Loading the replay" in visible(page), 10.0)
+        assert page.js("document.body.dataset.state") is None
+        go_on.set()
+        wait_for(lambda: page.js("document.body.dataset.state") == "ready", 20.0)
+        assert "Loading" not in visible(page)
+        page.close()
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+@pytest.mark.parametrize("part", [0.2, 0.6, 0.95, 0.9999])
+def test_a_file_that_was_cut_off_says_so(chromium: Chromium, replay: str, part: float, tmp_path: Path) -> None:
+    text = Path(url2pathname(urlsplit(replay).path)).read_bytes()
+    cut = tmp_path / "cut.html"
+    cut.write_bytes(text[: min(int(part * len(text)), len(text) - 40)])
+    page = chromium.open(cut.as_uri())
+    assert page.js("document.body.dataset.state") == "failed"
+    assert "This replay is incomplete" in visible(page)
+    assert "eos-pin replay RUN.npz --html FILE" in visible(page)
+    page.close()
+
+
+def test_a_browser_without_webgl_is_told_what_to_do(chromium: Chromium, replay: str) -> None:
+    none = "HTMLCanvasElement.prototype.getContext = () => null;"
+    page = chromium.open(replay, before=(("Page.addScriptToEvaluateOnNewDocument", {"source": none}),))
+    assert page.js("document.body.dataset.state") == "failed"
+    said = visible(page)
+    assert "this browser has no WebGL" in said
+    assert "another browser" in said
+    assert "panda </script> & friends" in said.replace("<b>", "").replace("</b>", "")
+    assert page.js("document.getElementById('bar').offsetParent") is None
+    page.close()
+
+
+def test_a_browser_whose_graphics_are_reset_says_so(chromium: Chromium, replay: str) -> None:
+    page = chromium.open(f"{replay}#paused")
+    page.js(
+        "document.querySelector('#view canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
+    )
+    wait_for(lambda: "Reload the page" in visible(page), 10.0)
+    page.close()
+
+
+def test_a_browser_without_scripts_says_so(chromium: Chromium, replay: str) -> None:
+    off = (("Emulation.setScriptExecutionDisabled", {"value": True}),)
+    page = chromium.open(replay, before=off, wait=False)
+    wait_for(lambda: "JavaScript" in visible(page), 20.0)
+    assert "Loading" not in visible(page)
+    page.close()
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_a_narrow_screen_has_all_controls(chromium: Chromium, replay: str, live: bool) -> None:
+    narrow = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    page = chromium.open(f"{replay}#paused", before=(("Emulation.setDeviceMetricsOverride", narrow),))
+    page.js(f"document.getElementById('live').hidden = {str(not live).lower()}")
+    boxes = page.js(
+        "['play', 'seek', 'clock', 'live', 'speed', 'reset']"
+        ".map(id => document.getElementById(id).getBoundingClientRect())"
+        ".filter(box => box.width).map(box => [box.left, box.right])"
+    )
+    assert len(boxes) == 5
+    assert all(right - left >= 30 for left, right in boxes)
+    edges = [edge for box in boxes for edge in box]
+    assert edges == sorted(edges)
+    assert edges[0] >= 16
+    assert edges[-1] <= 390 - 16
+    # The camera comes back to where it was.
+    start = page.picture()
+    page.do("Input.dispatchMouseEvent", type="mouseWheel", x=195, y=400, deltaX=0, deltaY=-600)
+    wait_for(lambda: np.abs(page.picture() - start).max() > 40, 10.0)
+    page.js("document.getElementById('reset').click()")
+    wait_for(lambda: np.abs(page.picture() - start)[:700].max() < 40, 10.0)
+    page.close()
