@@ -1,4 +1,5 @@
 """First run: the hand of a Panda arm follows a figure eight, and its joints repeat from the first round on.
+
 Run it by `python examples/01_first_run.py`.
 """
 

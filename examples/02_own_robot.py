@@ -1,4 +1,5 @@
 """Your own robot: a URDF is all that is needed.
+
 Run it by `python examples/02_own_robot.py`.
 """
 

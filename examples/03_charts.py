@@ -1,4 +1,5 @@
 """Charts: the joints as an explicit function y(z, v) of the task point z and the self-motion coordinates v.
+
 Run it by `python examples/03_charts.py`.
 """
 

@@ -1,4 +1,5 @@
 """Self-motion to order: the elbow swings to and fro while the hand draws its circle undisturbed.
+
 Run it by `python examples/04_self_motion.py`.
 """
 

@@ -1,4 +1,5 @@
 """Limits: joint positions, velocities and torques are kept, and the result tells whether the task suffered.
+
 Run it by `python examples/05_limits.py`.
 """
 
@@ -25,7 +26,7 @@ for controller in controllers:
     print(f"{type(controller).__name__}: {result.status}, fastest joint {fastest[-1]:.4f} rad/s, error {error:.1e} m")
     # Other joints take over where one is at its limit: no part of the task is given up.
     assert result.ok
-    assert result.given_up_seconds == 0.0
+    assert result.deficit_seconds == 0.0
     assert error < 1e-3
 
 assert fastest[0] > 1.2

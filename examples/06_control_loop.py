@@ -1,4 +1,5 @@
 """A control loop of your own: joint positions and velocities in, torques out, once a period.
+
 Run it by `python examples/06_control_loop.py`.
 """
 

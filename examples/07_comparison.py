@@ -1,4 +1,5 @@
 """Comparison: under traditional task-space control the joints drift from round to round, under EOS control they repeat.
+
 Run it by `python examples/07_comparison.py`.
 """
 

@@ -1,4 +1,5 @@
 """Your own task: the distance of the hand from a point, z = |p(q) - c|; the arm is free in all else.
+
 Run it by `python examples/08_own_task.py`.
 """
 

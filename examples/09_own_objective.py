@@ -1,4 +1,5 @@
 """Your own objective: self-motion that takes the joints away from their limits while the hand follows its path.
+
 Run it by `python examples/09_own_objective.py`.
 """
 

@@ -1,4 +1,5 @@
 """Your own controller: a spring that draws the hand along, run and recorded like the package's own controllers.
+
 Run it by `python examples/10_own_controller.py`.
 """
 

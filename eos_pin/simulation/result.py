@@ -349,8 +349,8 @@ class Result:
             raise
         except Exception as error:  # NumPy, zipfile, zlib and json raise a dozen kinds on damaged bytes
             raise ResultError(
-                f"{path} cannot be read as a result of eos_pin: {error or type(error).__name__}. Results are the .npz "
-                "files that `eos-pin track` and Result.save write"
+                f"{path} cannot be read as a result of eos_pin: {str(error) or type(error).__name__}. Results are the "
+                ".npz files that `eos-pin track` and Result.save write"
             ) from error
 
     def to_csv(self, path: str | Path) -> Path:
