@@ -323,6 +323,16 @@ cdef class Chain:
                     break
         return found[:tried], left[:tried], steps[:tried]
 
+    def one(self, const double[::1] q, const double[::1] z, const double[::1] lower, const double[::1] upper, double tol,
+            int most):
+        """Search from one state: joints and the task error that is left."""
+        found = np.empty(self.n)
+        cdef double[::1] x = found
+        cdef double left
+        memcpy(&x[0], &q[0], self.n * sizeof(double))
+        self.descend(&x[0], &z[0], &lower[0], &upper[0], tol, most, &left)
+        return found, left
+
     def links(self, const double[:, ::1] Q, const int[::1] joints, const double[:, ::1] placements):
         """Flat poses of frames, each fixed to a joint or, by −1, to the base, (K, L, 12)."""
         P = np.empty((Q.shape[0], joints.shape[0], 12))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -141,24 +141,55 @@ class Kinematics:
             InputError: Wrong shapes.
             EosError: The task does not confirm a point that was found.
         """
-        return self._search(Q, Z, lower, upper, tol, most, False, checked)
+        Q, Z = self._states(Q), self._points(Z)
+        if len(Z) not in (1, len(Q)):
+            raise InputError(f"there must be one task point for each of the {len(Q)} states, or one for all: {len(Z)}")
+        least = self._none[0] if lower is None else np.ascontiguousarray(lower, dtype=float)
+        largest = self._none[1] if upper is None else np.ascontiguousarray(upper, dtype=float)
+        if least.shape != (self.n,) or largest.shape != (self.n,):
+            raise InputError(f"bounds must be {self.n} numbers each, got {least.shape} and {largest.shape}")
+        q, left, steps = self._chain.search(Q, Z, least, largest, tol, most, False)
+        found = left <= tol
+        if checked and self.compiled and found.any():
+            self._confirm(q[found], Z[found[: len(Z)]] if len(Z) > 1 else Z, tol)
+        return Found(q, left, steps, found)
 
-    def first(
+    def search(
         self,
-        starts: Array,
-        z: Array,
+        q: JointVector,
+        z: Vector,
+        bounds: tuple[JointVector, JointVector],
+        others: Callable[[int], Float[Array, "L n"]],
         *,
-        lower: Array | None = None,
-        upper: Array | None = None,
         tol: float = 1e-10,
         most: int = 60,
-        checked: bool = True,
-    ) -> Found:
-        """Searches from one start after the other until one finds joints at z; the last row is that one.
+    ) -> tuple[JointVector, float]:
+        """Search for joints at a task point from one state, then from others, until one leads there.
 
-        Arguments as in `project`.
+        Arguments are not checked, and what is found is not confirmed: that is for the caller, who computes its task
+        error anyway.
+
+        Args:
+            q: Where to begin first, (n,).
+            z: Task point, (size,).
+            bounds: Least and largest value of each joint.
+            others: Draws so many more states, (L, n), or fewer where there are no more.
+            tol: Largest task error that may be left [m, rad].
+            most: Most steps from each state.
+
+        Returns:
+            Joints and their task error; the least that was found.
         """
-        return self._search(starts, z, lower, upper, tol, most, True, checked)
+        chain, (lower, upper) = self._chain, bounds
+        best, least = chain.one(q, z, lower, upper, tol, most)
+        count = 4
+        while least > tol and len(starts := others(count)):
+            found, left, _ = chain.search(starts, z[None], lower, upper, tol, most, True)
+            i = int(left.argmin())
+            if left[i] < least:
+                best, least = found[i], float(left[i])
+            count *= 2
+        return best, least
 
     def trace(
         self,
@@ -261,33 +292,16 @@ class Kinematics:
 
     # -- borders -----------------------------------------------------------------------------------------------------
 
-    def _search(
-        self,
-        Q: Array,
-        Z: Array,
-        lower: Array | None,
-        upper: Array | None,
-        tol: float,
-        most: int,
-        first: bool,
-        checked: bool,
-    ) -> Found:
-        Q, Z = self._states(Q), self._points(Z)
-        if len(Z) not in (1, len(Q)):
-            raise InputError(f"there must be one task point for each of the {len(Q)} states, or one for all: {len(Z)}")
-        least = self._none[0] if lower is None else np.ascontiguousarray(lower, dtype=float)
-        largest = self._none[1] if upper is None else np.ascontiguousarray(upper, dtype=float)
-        if least.shape != (self.n,) or largest.shape != (self.n,):
-            raise InputError(f"bounds must be {self.n} numbers each, got {least.shape} and {largest.shape}")
-        q, left, steps = self._chain.search(Q, Z, least, largest, tol, most, first)
-        found = left <= tol
-        if checked and self.compiled and found.any():
-            self._confirm(q[found], Z[found[: len(Z)]] if len(Z) > 1 else Z, tol)
-        return Found(q, left, steps, found)
-
     def _confirm(self, Q: Array, Z: Array, tol: float) -> None:
         """Let the task compute what the kernel found once more."""
-        worst = float(self.residual(Q, Z).max())
+        self.confirm(float(self.residual(Q, Z).max()), tol)
+
+    def confirm(self, worst: float, tol: float) -> None:
+        """Refuse an error of joints that were found, as the task itself computes it.
+
+        Raises:
+            EosError: It is beyond the tolerance.
+        """
         if not worst <= tol + self._rounding:
             raise EosError(
                 f"the compiled kinematics found joints at which {self.task!r} has an error of {worst:.3g}, more than "

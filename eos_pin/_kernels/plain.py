@@ -94,6 +94,13 @@ class PlainChain:
                 break
         return found[:tried], left[:tried], steps[:tried]
 
+    def one(
+        self, q: JointVector, z: Vector, lower: JointVector, upper: JointVector, tol: float, most: int
+    ) -> tuple[JointVector, float]:
+        """Search from one state: joints and the task error that is left."""
+        found, left, _ = descend(self.task, q, z, (lower, upper), tol=tol, most=most)
+        return found, left
+
 
 def descend(
     task: TaskFunctions,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from eos_pin._arrays import (
 )
 from eos_pin._kernels.dispatch import use_compiled
 from eos_pin.charts._basis import is_odd
+from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Point, Task
 
 
@@ -156,3 +157,30 @@ def walk(
         else:
             step *= 0.5
     return reached
+
+
+class Postures:
+    """Postures of a robot drawn evenly from within the joint limits, and within a turn.
+
+    Args:
+        robot: The robot.
+        seed: Which they are; the same seed, the same postures.
+        count: How many there are.
+    """
+
+    def __init__(self, robot: Robot, seed: int, count: int) -> None:
+        self.robot, self.left, self.seed = robot, count, seed
+
+    def __call__(self, count: int) -> Float[Array, "K n"]:
+        """So many more, or those that are left."""
+        count = min(count, self.left)
+        self.left -= count
+        return self._random.uniform(*self._ends, (count, self.robot.n))
+
+    @cached_property
+    def _random(self) -> np.random.Generator:
+        return np.random.default_rng(self.seed)
+
+    @cached_property
+    def _ends(self) -> tuple[JointVector, JointVector]:
+        return np.clip(-np.pi, self.robot.lower, self.robot.upper), np.clip(np.pi, self.robot.lower, self.robot.upper)

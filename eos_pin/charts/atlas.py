@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
-from itertools import islice, pairwise
+from itertools import pairwise
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -26,10 +25,9 @@ from eos_pin._arrays import (
     number,
     vector,
 )
-from eos_pin.charts._newton import Inverse, walk
+from eos_pin.charts._newton import Inverse, Postures, walk
 from eos_pin.charts.chart import Chart
 from eos_pin.errors import InputError, InverseError, SingularError
-from eos_pin.robot.model import Robot
 from eos_pin.robot.postures import JointsLike
 from eos_pin.tasks.base import Point, PointLike, Task
 
@@ -260,16 +258,15 @@ class Atlas:
             yield (attempt := self._walk("walk", q, [z], tol, **motion))
             moved = attempt.found
         if "detour" in ways:
-            for posture in islice(_postures(robot, seed), DETOURS):
+            for posture in Postures(robot, seed, DETOURS)(DETOURS):
                 if moved:
                     break
                 yield (attempt := self._walk("detour", q, [self.task.value(posture), z], tol, **motion))
                 moved = attempt.found
         if "jump" in ways:
             anything = np.full(robot.n, np.inf)
-            starts = cache(lambda: np.reshape([*islice(_postures(robot, seed), tries)], (tries, robot.n)))
             for bounds in ((robot.lower, robot.upper), (-anything, anything)):
-                yield self._jump(q, z, bounds, starts, tol)
+                yield self._jump(q, z, bounds, tries, seed, tol)
                 if moved:
                     break
 
@@ -301,22 +298,18 @@ class Atlas:
         return self._reached(found.q[-1] if len(found.q) else q, way, found, corners[-1], found.message)
 
     def _jump(
-        self, q: JointVector, z: Point, bounds: tuple[JointVector, JointVector], starts: Callable[[], Array], tol: float
+        self, q: JointVector, z: Point, bounds: tuple[JointVector, JointVector], tries: int, seed: int, tol: float
     ) -> IkSolution:
         """Search from q, then from one posture after the other."""
-        lower, upper = bounds
-        found = self.task.kinematics.first(q[None], z, lower=lower, upper=upper, tol=tol)
-        if not found.found[-1] and len(starts()):
-            others = self.task.kinematics.first(starts(), z, lower=lower, upper=upper, tol=tol)
-            if others.residual.min() < found.residual[0]:
-                found = others
-        best = int(found.residual.argmin())
+        robot = self.task.robot
+        found, residual = self.task.kinematics.search(q, z, bounds, Postures(robot, seed, tries), tol=tol)
         message = ""
-        if not found.found[best]:
-            message = (
-                f"no posture that was tried leads there: it is out of reach, by {found.residual[best]:.3g} or less"
-            )
-        return self._reached(self.task.robot.unwrap(found.q[best], q), "jump", None, z, message)
+        if residual > tol:
+            message = f"no posture that was tried leads there: it is out of reach, by {residual:.3g} or less"
+        reached = self._reached(robot.unwrap(found, q), "jump", None, z, message)
+        if not message:
+            self.task.kinematics.confirm(reached.residual, tol)
+        return reached
 
     def _reached(self, q: JointVector, way: Strategy, path: JointPath | None, z: Point, message: str) -> IkSolution:
         robot = self.task.robot
@@ -390,11 +383,3 @@ def _self_motion(v: SelfMotionPath | None, start: SelfMotionVector, count: int) 
         return lambda k: values[k]
     constant = vector(values, r, "v")
     return lambda k: constant
-
-
-def _postures(robot: Robot, seed: int) -> Iterator[JointVector]:
-    """Postures drawn evenly from within the joint limits, and within a turn."""
-    random = np.random.default_rng(seed)
-    least, most = (np.clip(end, robot.lower, robot.upper) for end in (-np.pi, np.pi))
-    while True:
-        yield random.uniform(least, most)

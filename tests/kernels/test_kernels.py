@@ -120,15 +120,34 @@ def test_projection_of_a_near_state_is_the_nearest(panda):
         assert np.linalg.norm(across) <= 1e-3 * np.linalg.norm(start - end)
 
 
-def test_search_ends_at_the_first_start_that_leads_there(panda):
+def test_search_goes_on_from_other_states_until_one_leads_there(panda):
     task = PoseTask(panda, "panda_hand_tcp")
     q = np.array([0.1, -0.4, 0.2, -2.0, 0.1, 1.6, 0.8])
-    found = task.kinematics.first(np.array([q, q]), task.value(q))
-    assert len(found.q) == 1
-    assert found.steps.tolist() == [0]
-    assert found.found.all()
+    z = task.value(q)
+    bounds = panda.lower, panda.upper
+    drawn = []
+
+    def others(count):
+        drawn.append(count)
+        return np.array([q] if len(drawn) == 2 else [panda.lower])
+
+    # Both ends of the limits lead nowhere.
+    found, residual = task.kinematics.search(panda.upper, z, bounds, others)
+    assert residual <= 1e-10
+    np.testing.assert_allclose(found, q, atol=1e-9)
+    assert drawn == [4, 8]
+    found, residual = task.kinematics.search(q, z, bounds, others)
+    assert len(drawn) == 2
+    found, residual = task.kinematics.search(q, z + 5.0, bounds, lambda count: np.empty((0, 7)))
+    assert residual > 1.0
+
+
+def test_projection_refuses_wrong_numbers_of_points(panda):
+    task = PoseTask(panda, "panda_hand_tcp")
     with pytest.raises(InputError, match="one task point"):
-        task.kinematics.project(np.array([q, q, q]), np.tile(task.value(q), (2, 1)))
+        task.kinematics.project(np.zeros((3, 7)), np.zeros((2, 12)))
+    with pytest.raises(InputError, match="bounds must be 7"):
+        task.kinematics.project(np.zeros((3, 7)), np.zeros(12), lower=np.zeros(3))
 
 
 def test_search_from_what_is_not_finite_finds_nothing(panda):
