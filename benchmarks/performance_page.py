@@ -43,9 +43,8 @@ _LIMITS = """## What the figures do not say
 - *Inverse kinematics.* Peers take full steps from the rest posture, without limits and posture task: their fastest
   way. eos_pin holds the self-motion coordinates too, so that the solution is determined. To random targets
   `Atlas.follow` walks along the straight line of the task, so that the solution is connected to the start; that takes
-  longer, and the line can end at a singularity. `Atlas.reach` then makes detours and jumps, and it alone was asked for
-  joints within their limits here; some of the others could be asked, too. Where any solution will do and its
-  microseconds count, theirs are the better tools.
+  longer, and the line can end at a singularity. `Atlas.reach` then makes detours and jumps, to joints within their
+  limits. So were the rows that say so; some of the other peers could be asked, too.
 - *Versions.* TSID is the last one that comes as a whole from PyPI, with the Pinocchio it was built with. The newer
   ones there are bindings whose library has to be built from source, against another Pinocchio than theirs.
 - *What is measured elsewhere.* `benchmarks/chains.py` (up to 1,000 joints), `benchmarks/sweep.py` (many runs on one
@@ -82,7 +81,7 @@ def _slower(sections: Sequence[Section]) -> str:
     found = []
     for section in sections:
         for i, head in enumerate(section.columns):
-            if head != "× eos_pin":
+            if head != "× eos_pin" or "reached, %" in section.columns:
                 continue
             away = section.columns[i - 2].partition(",")[0]
             ahead = [f"{row[0]} ({row[1]}) {row[i]:.2g}" for row in section.rows if row[i] < 1.0 and _rival(row)]
@@ -96,10 +95,10 @@ def _slower(sections: Sequence[Section]) -> str:
 
 
 def _fewer(section: Section) -> list[str]:
-    """Robots on which a peer reaches more of the random targets, or reaches them faster."""
+    """Robots on which a peer reaches more of the random targets, or needs less time for a solution in limits."""
     if "reached, %" not in section.columns:
         return []
-    share, mean = section.columns.index("reached, %"), section.columns.index("mean × eos_pin")
+    share, mean = section.columns.index("reached, %"), section.columns.index("× eos_pin")
     found = []
     for robot in dict.fromkeys(row[0] for row in section.rows):
         rows = [row for row in section.rows if row[0] == robot]

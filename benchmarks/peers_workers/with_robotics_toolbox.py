@@ -23,6 +23,7 @@ def build(problem: Problem) -> Mapping[str, Call]:
         "inverse:default": _search(problem, chain, slimit=100),
         "inverse:1 start": _search(problem, chain, slimit=1, **kept),
         "inverse:100 starts": _search(problem, chain, slimit=100, **kept),
+        "inverse:100 starts, within limits": _search(problem, chain, slimit=100, joint_limits=True, **kept),
     }
 
 

@@ -205,9 +205,10 @@ def trace(Chain chain, const double[::1] start, const double[::1] z, const unsig
     return Q[:count].copy(), T[:count].copy(), status
 
 
-def nearest(const double[:, ::1] Q, const double[:, ::1] nodes, const unsigned char[::1] revolute):
-    """Number of the node nearest to each state, (K,), and the difference from it, (K, n), whole turns left aside."""
-    numbers, differences = np.zeros(Q.shape[0], dtype=np.int64), np.empty((Q.shape[0], Q.shape[1]))
+def nearest(const double[:, ::1] Q, const double[:, ::1] T, const double[:, ::1] nodes, const double[:, ::1] units,
+            const unsigned char[::1] revolute):
+    """`eos_pin._kernels.tracing.nearest`."""
+    numbers, differences = np.full(Q.shape[0], -1, dtype=np.int64), np.full((Q.shape[0], Q.shape[1]), np.inf)
     cdef long long[::1] number = numbers
     cdef double[:, ::1] gap = differences
     cdef double x, square, best
@@ -224,9 +225,10 @@ def nearest(const double[:, ::1] Q, const double[:, ::1] nodes, const unsigned c
                     square += x * x
                     if square >= best:
                         break
-                if square < best:
+                if square < best and dot(&T[k, 0], &units[i, 0], <int>n) > 0.0:
                     best, number[k] = square, i
-            for j in range(n):
-                x = Q[k, j] - nodes[number[k], j]
-                gap[k, j] = x - TAU * round(x / TAU) if revolute[j] else x
+            if number[k] >= 0:
+                for j in range(n):
+                    x = Q[k, j] - nodes[number[k], j]
+                    gap[k, j] = x - TAU * round(x / TAU) if revolute[j] else x
     return numbers, differences

@@ -180,7 +180,9 @@ class Kinematics:
         Returns:
             Joints and their task error; the least that was found.
         """
-        chain, (lower, upper) = self._chain, bounds
+        # Views into larger arrays are copied; the kernels need numbers side by side.
+        q, z, lower, upper = map(np.ascontiguousarray, (q, z, *bounds))
+        chain = self._chain
         best, least = chain.one(q, z, lower, upper, tol, most)
         count = 4
         while least > tol and len(starts := others(count)):
@@ -247,9 +249,11 @@ class Kinematics:
         self._one_redundant()
         return self._tracing.tangents(self._chain, self._states(Q), self._one(z))
 
-    def nearest(self, Q: Array, nodes: Array) -> tuple[Int[Array, " K"], Float[Array, "K n"]]:
-        """Number of the node nearest to each state, and the difference from it, whole turns left aside."""
-        return self._tracing.nearest(self._states(Q), self._states(nodes), self._revolute)
+    def nearest(self, Q: Array, T: Array, curve: Curve) -> tuple[Int[Array, " K"], Float[Array, "K n"]]:
+        """Node of a curve nearest to each state where the curve runs along T; see `tracing.nearest`."""
+        return self._tracing.nearest(
+            self._states(Q), self._states(T), self._states(curve.q), self._states(curve.t), self._revolute
+        )
 
     def links(self, Q: Array, frames: Sequence[int]) -> Float[Array, "K L 12"]:
         """Flat poses of frames, by their numbers in the Pinocchio model: position, then rotation row by row."""

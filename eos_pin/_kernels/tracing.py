@@ -118,15 +118,32 @@ def trace(
 
 
 def nearest(
-    Q: Float[Array, "K n"], nodes: Float[Array, "L n"], revolute: Array
+    Q: Float[Array, "K n"],
+    T: Float[Array, "K n"],
+    nodes: Float[Array, "L n"],
+    units: Float[Array, "L n"],
+    revolute: Array,
 ) -> tuple[Int[Array, " K"], Float[Array, "K n"]]:
-    """Number of the node nearest to each state, and the difference from it, whole turns left aside."""
-    number, gap = np.empty(len(Q), dtype=np.int64), np.empty(Q.shape)
-    for k, q in enumerate(Q):
+    """Node nearest to each state among those where the curve runs the same way, and the difference from it.
+
+    Args:
+        Q: States.
+        T: Unit vectors there.
+        nodes: Joints of the nodes.
+        units: Unit vectors along the curve at the nodes.
+        revolute: Which joints turn: whole turns are left aside.
+
+    Returns:
+        Number of the node, −1 where the curve nowhere runs the same way, and the difference, infinite there.
+    """
+    number, gap = np.full(len(Q), -1, dtype=np.int64), np.full(Q.shape, np.inf)
+    for k, (q, t) in enumerate(zip(Q, T, strict=True)):
         difference = q - nodes
         difference = np.where(revolute, difference - math.tau * np.round(difference / math.tau), difference)
-        number[k] = np.einsum("in,in->i", difference, difference).argmin()
-        gap[k] = difference[number[k]]
+        square = np.where(units @ t > 0.0, np.einsum("in,in->i", difference, difference), np.inf)
+        i = int(square.argmin())
+        if np.isfinite(square[i]):
+            number[k], gap[k] = i, difference[i]
     return number, gap
 
 

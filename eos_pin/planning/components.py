@@ -200,9 +200,13 @@ class Component:
         """
         if not len(Q):
             return np.zeros(0, dtype=bool)
-        node, gap = self.kinematics.nearest(Q, self.curve.q)
-        t = self.curve.t[node]
-        ahead = np.einsum("kn,kn->k", gap, t)
+        node, gap = self.kinematics.nearest(Q, self._sense * T, self.curve)
+        found = node >= 0
+        if not found.all():
+            passes = np.zeros(len(Q), dtype=bool)
+            passes[found] = self.passes(Q[found], T[found])
+            return passes
+        ahead = np.einsum("kn,kn->k", gap, self.curve.t[node])
         segment = np.clip(np.where(ahead >= 0.0, node, node - 1), 0, len(self._steps) - 1)
         # A closed curve goes on before its first node and after its last one.
         segment = np.where(self.closed & (node == 0) & (ahead < 0.0), len(self._steps) - 1, segment)
@@ -215,8 +219,7 @@ class Component:
             gap = self._apart(Q - (a + w * (b + w * (c + w * d))))
             slope = b + w * (2.0 * c + w * 3.0 * d)
             u = np.clip(u + np.einsum("kn,kn->k", gap, slope) / np.einsum("kn,kn->k", slope, slope), -0.5, 1.5)
-        close = np.einsum("kn,kn->k", gap, gap) <= (CLOSE * step) ** 2
-        return close & (self._sense * np.einsum("kn,kn->k", T, t) > 0.0)
+        return np.einsum("kn,kn->k", gap, gap) <= (CLOSE * step) ** 2
 
     def _apart(self, difference: Array) -> Array:
         """Differences of joints, without whole turns of revolute ones."""

@@ -136,8 +136,10 @@ def test_search_goes_on_from_other_states_until_one_leads_there(panda):
     assert residual <= 1e-10
     np.testing.assert_allclose(found, q, atol=1e-9)
     assert drawn == [4, 8]
-    found, residual = task.kinematics.search(q, z, bounds, others)
+    strided = [np.repeat(x, 2)[::2] for x in (q, z, *bounds)]
+    found, residual = task.kinematics.search(strided[0], strided[1], (strided[2], strided[3]), others)
     assert len(drawn) == 2
+    np.testing.assert_array_equal(found, q)
     found, residual = task.kinematics.search(q, z + 5.0, bounds, lambda count: np.empty((0, 7)))
     assert residual > 1.0
 
