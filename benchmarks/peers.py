@@ -101,6 +101,12 @@ PEERS: Mapping[str, Peer] = {
     )
 }
 
+#: Those that other scripts than `run.py` compare with.
+OTHERS: Mapping[str, Peer] = {
+    peer.key: peer
+    for peer in (Peer("ssik", ("ssik", "urchin", "numpy"), "ssik", "closed-form IK and self-motion of some arms"),)
+}
+
 
 def installed(peer: Peer) -> dict[str, str] | str:
     """Versions of what is in a peer's environment, or why it cannot be used."""
@@ -169,10 +175,11 @@ def peers(
         command: Make environments anew, or say what is in them.
         names: Which peers; all of them by default.
     """
-    unknown = sorted({*names} - {*PEERS})
+    known = {**PEERS, **OTHERS}
+    unknown = sorted({*names} - {*known})
     if unknown:
-        raise InputError(f"no peer {unknown[0]!r}; there are {', '.join(PEERS)}")
-    chosen = [PEERS[name] for name in names or PEERS]
+        raise InputError(f"no peer {unknown[0]!r}; there are {', '.join(known)}")
+    chosen = [known[name] for name in names or known]
     rows = []
     with Progress(
         SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=stderr, transient=True

@@ -137,7 +137,7 @@ def test_the_page_that_is_kept_has_every_peer() -> None:
 
 def test_each_peer_has_a_worker() -> None:
     scripts = {path.name for path in peers.WORKERS.glob("with_*.py")}
-    own = {"with_eos_pin.py", "with_pinocchio.py"}
+    own = {"with_eos_pin.py", "with_pinocchio.py", *(peer.worker.name for peer in peers.OTHERS.values())}
     assert scripts == own | {peer.worker.name for peer in peers.PEERS.values()}
 
 

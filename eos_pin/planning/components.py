@@ -181,13 +181,13 @@ class Component:
         i = int((difference * difference).sum(axis=1).argmin())
         s = self.nodes[i] + float(difference[i] @ self.curve.t[i])
         gap = difference[i]
-        for _ in range(4):
+        for _ in range(6):
             if not self.closed:
                 s = min(max(s, 0.0), self.length)
             here = self.at(s)
             gap = self._apart(q - here)
             move = float(gap @ self.along(here[None])[0])
-            if abs(move) < 1e-9 or np.abs(gap).max() > 1.0:
+            if abs(move) < 1e-13 or np.abs(gap).max() > 1.0:
                 break
             s += move
         return Located(s % self.length if self.closed else s, float(np.abs(gap).max()))
