@@ -7,7 +7,7 @@ given, what is allowed and what to do; the data a program needs to react is kept
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 
 class EosError(Exception):
@@ -77,6 +77,26 @@ class SingularError(ChartError):
 
     def __init__(self, message: str, rank: int, singular_values: Sequence[float]) -> None:
         self.rank, self.singular_values = rank, tuple(singular_values)
+        super().__init__(message)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild, (type(self), self.args, self.__dict__)
+
+
+class PlanError(EosError):
+    """No motion along a path was found, or a plan does not fit what it is used for.
+
+    Attributes:
+        waypoint: Number of the last way point that was reached; None where that has no meaning.
+        reached: Part of the path that was reached, from 0 to 1.
+        stopped: Whether a person stopped the search.
+        info: What else is known, in plain values.
+    """
+
+    info: Mapping[str, object] = {}
+
+    def __init__(self, message: str, waypoint: int | None = None, reached: float = 0.0, stopped: bool = False) -> None:
+        self.waypoint, self.reached, self.stopped = waypoint, reached, stopped
         super().__init__(message)
 
     def __reduce__(self) -> tuple[object, ...]:

@@ -21,7 +21,7 @@ TABLE = """
     tasks           pinocchio
     trajectories    scipy
     charts          scipy
-    planning        coal pinocchio scipy
+    planning        coal pinocchio scipy trimesh yaml
     control         daqp scipy
     simulation      mujoco pinocchio scipy
     experiments     joblib pinocchio pyarrow

@@ -19,7 +19,9 @@ from typing import Any, TypeVar, cast
 kernels: Any = None
 if os.environ.get("EOS_PIN_COMPILED") != "0":
     with suppress(ImportError):
-        modules = [import_module(f"eos_pin._kernels.{name}") for name in ("law", "parts", "_chain", "_trace")]
+        modules = [
+            import_module(f"eos_pin._kernels.{name}") for name in ("law", "parts", "_chain", "_solids", "_trace")
+        ]
         kernels = SimpleNamespace(
             **{name: use_compiled for module in modules for name, use_compiled in vars(module).items()}
         )

@@ -20,6 +20,7 @@ from eos_pin.cli.sweep import sweep
 if TYPE_CHECKING:
     pass
 from eos_pin.cli.ik import ik
+from eos_pin.cli.plan import plan
 from eos_pin.cli.replay import replay, robots
 from eos_pin.cli.track import compare, track
 
@@ -38,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if list(sys.argv[1:] if argv is None else argv) == ["--version"]:
         console.print(f"eos-pin {version('eos-pin')}")
         return 0
-    commands = {f.__name__: f for f in (track, compare, sweep, info, ik, replay, robots)}
+    commands = {f.__name__: f for f in (track, plan, compare, sweep, info, ik, replay, robots)}
     return guarded(
         lambda: tyro.extras.subcommand_cli_from_dict(
             commands,

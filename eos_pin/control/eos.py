@@ -236,4 +236,4 @@ class EosController(TaskController):
 
     def self_motion_target(self, t: float, state: EosState) -> Target | None:
         """Self-motion that is tracked at time t; None if the objective tracks none."""
-        return self.self_motion.target(t, state.chart.r)
+        return self.self_motion.target_on(t, state.chart)

@@ -38,6 +38,10 @@ class Objective(ABC):
         """Self-motion (v, dv, ddv) that it tracks; None if it tracks none."""
         return None
 
+    def target_on(self, t: float, chart: Chart) -> Target | None:
+        """The same on a chart, for laws that track joints."""
+        return self.target(t, chart.r)
+
     def check(self, n: int, r: int) -> None:  # noqa: B027 - most fit any
         """Refuse a robot or a task that it does not fit.
 
@@ -180,6 +184,55 @@ class Posture(Objective):
             raise InputError(f"the posture has {self.q.size} joints, the robot {n}")
 
 
+class FollowJoints(Objective):
+    """Follow joints q_d(t) that have the task's point at every time: F_v = Wᵀ(q̈_d + kd (q̇_d − q̇) + kp (q_d − q)).
+
+    On every chart the error in v then obeys ε̈ + kd ε̇ + kp ε = 0, so that the joints follow from nearby, whichever
+    charts are used. From another component of the self-motion manifold they do not: z and v come to rest without any
+    error while the joints stay away, so `distance` is to be watched.
+
+    Args:
+        joints: Function of time [s] that returns q_d, its velocity and its acceleration.
+        kp: Gain, one number or (n,) [1/s²].
+        kd: Damping, one number or (n,) [1/s]; 2 √kp is critically damped.
+    """
+
+    def __init__(
+        self,
+        joints: Callable[[float], tuple[JointVector, JointVector, JointVector]],
+        *,
+        kp: float | VectorLike = 100.0,
+        kd: float | VectorLike = 20.0,
+    ) -> None:
+        self.joints = joints
+        n = len(joints(0.0)[0])
+        self.kp, self.kd = (frozen_copy(broadcast(k, n, "a gain on joints")) for k in (kp, kd))
+        self._last: tuple[float, tuple[JointVector, JointVector, JointVector]] | None = None
+
+    def at(self, t: float) -> tuple[JointVector, JointVector, JointVector]:
+        """Joints, velocities and accelerations at time t; that of the last call is kept."""
+        last = self._last
+        if last is None or last[0] != t:
+            last = self._last = t, self.joints(t)
+        return last[1]
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        q_d, dq_d, ddq_d = self.at(t)
+        return chart.dv(ddq_d + self.kd * (dq_d - dq) + self.kp * chart.task.robot.way(q, q_d))
+
+    def target_on(self, t: float, chart: Chart) -> Target:
+        q_d, dq_d, ddq_d = self.at(t)
+        return Target(chart.v(q_d), chart.dv(dq_d), chart.dv(ddq_d))
+
+    def distance(self, t: float, q: JointVector) -> float:
+        """Largest difference of a joint from where it should be [rad or m]."""
+        return float(abs(self.at(t)[0] - q).max())
+
+    def check(self, n: int, r: int) -> None:
+        if self.kp.size != n:
+            raise InputError(f"the joints to follow are {self.kp.size}, the robot has {n}")
+
+
 @dataclass(frozen=True, eq=False)
 class ReduceKineticEnergy(Objective):
     """Lower the kinetic energy T: F_v = −gain Vᵀ∇T; Eq. (39).
@@ -253,6 +306,9 @@ class SumObjective(Objective):
 
     def target(self, t: float, r: int) -> Target | None:
         return next((target for part in self.parts if (target := part.target(t, r)) is not None), None)
+
+    def target_on(self, t: float, chart: Chart) -> Target | None:
+        return next((target for part in self.parts if (target := part.target_on(t, chart)) is not None), None)
 
     def check(self, n: int, r: int) -> None:
         for part in self.parts:

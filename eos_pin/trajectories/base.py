@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eos_pin._arrays import TaskVector, frozen_copy, vector
+from eos_pin._arrays import JointVector, TaskVector, frozen_copy, vector
 from eos_pin.errors import InputError
 from eos_pin.tasks.base import Point, Task
 
@@ -30,6 +30,20 @@ class Target(NamedTuple):
     z: Point
     dz: TaskVector
     ddz: TaskVector
+
+
+class JointTarget(NamedTuple):
+    """What the joints should be at one time.
+
+    Attributes:
+        q: Joints [rad or m].
+        dq: Their velocities.
+        ddq: Their accelerations.
+    """
+
+    q: JointVector
+    dq: JointVector
+    ddq: JointVector
 
 
 class Trajectory(ABC):

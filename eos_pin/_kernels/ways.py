@@ -1,0 +1,136 @@
+"""The best ways through layers of postures: dynamic programming, of closed paths for all starts at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from eos_pin._arrays import Array
+
+#: What a jump costs; more than any motion.
+RECONFIGURATION = 1e6
+
+
+class Steps(NamedTuple):
+    """Steps from one layer to the next.
+
+    Attributes:
+        start: Number of the posture each begins at.
+        end: Number of the posture it ends at, in rising order.
+        cost: Its cost.
+    """
+
+    start: Int[Array, " E"]
+    end: Int[Array, " E"]
+    cost: Float[Array, " E"]
+
+
+def open_ways(
+    nodes: Sequence[Array],
+    steps: Sequence[Steps],
+    scale: Array,
+    most: int,
+    first: Float[Array, " K"],
+    *,
+    end: int | None = None,
+    jumps: bool = False,
+) -> list[Array]:
+    """The best ways from any posture of the first layer to one of the last, those that differ, as joints (L, n).
+
+    Args:
+        nodes: Postures of each layer, (n, K).
+        steps: Steps from each layer to the next.
+        scale: Motion of each joint that counts like a radian, (n,).
+        most: How many ways.
+        first: Cost of the first postures.
+        end: Number of the last posture; None for any.
+        jumps: Whether a jump to any posture is allowed, at the price of `RECONFIGURATION`.
+    """
+    values, back = [first], list[Array]()
+    for k, step in enumerate(steps):
+        value, via = _relaxed(values[-1], step, nodes[k + 1].shape[1])
+        if jumps and np.isfinite(values[-1]).any():
+            best = int(values[-1].argmin())
+            jump = values[-1][best] + RECONFIGURATION
+            worse = value > jump
+            value[worse], via[worse] = jump, best
+        values.append(value)
+        back.append(via)
+    ends = [int(e) for e in np.argsort(values[-1], kind="stable") if np.isfinite(values[-1][e])]
+    if end is not None:
+        ends = [e for e in ends if e == end]
+    ways: list[Array] = []
+    for index in ends[: 20 * most]:
+        row = [nodes[-1][:, index]]
+        for k in range(len(nodes) - 1, 0, -1):
+            index = int(back[k - 1][index])
+            row.append(nodes[k - 1][:, index])
+        _add(ways, np.array(row[::-1]), scale)
+        if len(ways) == most:
+            break
+    return ways
+
+
+def closed_ways(nodes: Sequence[Array], steps: Sequence[Steps], scale: Array, most: int) -> list[Array]:
+    """The best ways that end where they begin, those that differ: one search for each start, all starts at once.
+
+    Arguments as in `open_ways`; the last steps lead to the first layer.
+    """
+    value = np.full((nodes[0].shape[1],) * 2, np.inf)
+    np.fill_diagonal(value, 0.0)
+    back: list[Array] = []
+    for k, step in enumerate(steps):
+        value, via = _relaxed_all(value, step, nodes[(k + 1) % len(nodes)].shape[1])
+        back.append(via)
+    totals = value.diagonal()
+    ways: list[Array] = []
+    for start in np.argsort(totals, kind="stable")[: 20 * most].tolist():
+        if not np.isfinite(totals[start]):
+            break
+        index, row = start, list[Array]()
+        for k in range(len(steps) - 1, -1, -1):
+            index = int(back[k][start, index])
+            row.append(nodes[k][:, index])
+        _add(ways, np.array(row[::-1]), scale)
+        if len(ways) == most:
+            break
+    return ways
+
+
+def _add(ways: list[Array], way: Array, scale: Array) -> None:
+    """Add a way unless one of the others is nearly the same."""
+    if all(np.abs((way - other) / scale).max(axis=1).mean() > 0.5 for other in ways):
+        ways.append(way)
+
+
+def _relaxed(value: Array, steps: Steps, count: int) -> tuple[Array, Array]:
+    """Least cost of each posture of the next layer, and where it comes from."""
+    out, via = np.full(count, np.inf), np.full(count, -1)
+    if len(steps.end):
+        total = value[steps.start] + steps.cost
+        order = np.lexsort((total, steps.end))
+        ends, first = np.unique(steps.end[order], return_index=True)
+        out[ends], via[ends] = total[order][first], steps.start[order][first]
+    return out, via
+
+
+def _relaxed_all(value: Array, steps: Steps, count: int) -> tuple[Array, Array]:
+    """The same for many starts, the rows of `value`."""
+    S = len(value)
+    out, via = np.full((S, count), np.inf), np.full((S, count), -1, dtype=np.int32)
+    if not len(steps.end):
+        return out, via
+    total = value[:, steps.start] + steps.cost
+    ends, first = np.unique(steps.end, return_index=True)
+    sizes = np.diff(np.append(first, len(steps.end)))
+    # Every posture has few steps that lead to it: a table of them, filled up with the first.
+    width = int(sizes.max())
+    table = first[:, None] + np.where(np.arange(width) < sizes[:, None], np.arange(width), 0)
+    options = total[:, table]
+    best = options.argmin(axis=2)
+    out[:, ends] = np.take_along_axis(options, best[:, :, None], axis=2)[:, :, 0]
+    via[:, ends] = steps.start[table[np.arange(len(ends)), best]]
+    return out, via

@@ -1,0 +1,291 @@
+"""The command `eos-pin plan`: joints along a whole task path, or the reason why there are none."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from eos_pin._arrays import JointVector
+from eos_pin.cli.output import (
+    Output,
+    console,
+    format_number,
+    print_files,
+    say_notes,
+    scene_of,
+    show,
+    stderr,
+    write_json,
+)
+from eos_pin.errors import InputError, PlanError
+from eos_pin.experiments.options import RobotOptions, TaskOptions
+
+if TYPE_CHECKING:
+    from eos_pin.planning.bodies import Bodies
+    from eos_pin.planning.plan import Plan
+    from eos_pin.planning.planner import Progress as Report
+    from eos_pin.planning.scene import Scene
+    from eos_pin.robot.model import Robot
+    from eos_pin.tasks.base import Task
+    from eos_pin.trajectories.base import Trajectory
+
+#: Figures that the JSON has whatever happens.
+FIGURES = (
+    "closed", "waypoints", "reconfigurations", "task_error_max", "joint_step_max", "joint_motion", "limit_distance_min",
+    "clearance_min", "switches", "seconds",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PlanPath:
+    """Where the task should go.
+
+    Attributes:
+        path: Figure eight, circle, line, or a file of way points whose first row names its columns: x, y, z [m]; qw,
+            qx, qy, qz, or roll, pitch, yaw [rad]; t [s] if there are times. Without orientation it stays as it is at
+            q0.
+        size: Half width or radius [m]; by default as large as the robot can follow at q0.
+        centre: Centre of a circle or eight, one end of a line [m]; by default the path begins at q0.
+        plane: Plane of the path, such as yz, or one axis for a line.
+        period: Time of one round [s]; by default as short as half the velocity limits allow.
+        closed: The joints return to where they began.
+    """
+
+    path: str = "eight"
+    size: float | None = None
+    centre: tuple[float, float, float] | None = None
+    plane: str | None = None
+    period: float | None = None
+    closed: bool = False
+
+    def make(self, task: Task, q: JointVector) -> Trajectory:
+        """The path, through the task point at q unless a file or a centre says otherwise."""
+        from eos_pin.experiments.defaults import fitting_path
+        from eos_pin.trajectories.through import about, read_path
+
+        if Path(self.path).suffix.lower() in (".csv", ".tsv", ".txt"):
+            return read_path(self.path, task, task.value(q), closed=self.closed)
+        if self.path not in ("eight", "circle", "line"):
+            raise InputError(f"a path is eight, circle, line, or the name of a .csv file; got {self.path!r}")
+        if self.centre is None:
+            size, plane, period = self.size, self.plane, self.period
+            return fitting_path(task, q, shape=self.path, size=size, plane=plane, period=period)  # type: ignore[arg-type]
+        if self.size is None:
+            raise InputError("a path with a --centre needs its --size")
+        return about(task, task.value(q), self.path, self.centre, self.size, self.plane, self.period or 8.0)
+
+
+@dataclass(frozen=True)
+class Obstructed:
+    """What is in the way, and what is kept.
+
+    Attributes:
+        scene: YAML or JSON file with lists of solids at rest: boxes (centre, size, rotation w x y z), spheres (centre,
+            radius), capsules (from, to, radius), meshes (file, centre, rotation, scale), in metres.
+        self_collision: Keep the robot's links clear of each other.
+        capsules: JSON file with the robot's capsules, in place of those fitted around its collision shapes: for each
+            link from, to and radius, in the link's frame; `pairs_not_checked` lists pairs of links.
+        clearance: Least distance [m].
+        margin: Room that is kept from joint limits [rad or m].
+        joint_step: Longest step of a joint from one way point to the next [rad or m].
+        start: Joints to begin at, n numbers [rad or m].
+        reconfigurations: Let the joints jump where no continuous motion exists, as few times as possible.
+        effort: How many times the search is refined before it gives up.
+    """
+
+    scene: Path | None = None
+    self_collision: bool = False
+    capsules: Path | None = None
+    clearance: float = 0.0
+    margin: float = 0.01
+    joint_step: float | None = None
+    start: tuple[float, ...] = ()
+    reconfigurations: bool = False
+    effort: int = 3
+
+    def bodies(self, robot: Robot) -> Bodies | None:
+        """The robot's capsules; None where they are not needed or are to be fitted."""
+        from eos_pin.planning.bodies import Bodies
+        from eos_pin.planning.scene import Capsule
+
+        if self.capsules is None:
+            return None
+        try:
+            data = json.loads(self.capsules.read_text(encoding="utf-8"))
+            links = data.get("capsules", data)
+            pairs = data.get("pairs_not_checked", [])
+            made = {
+                str(link): Capsule(c["from"], c["to"], c["radius"], str(link))
+                for link, c in links.items()
+                if link != "pairs_not_checked"
+            }
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"cannot read the capsules {self.capsules}: {error}") from error
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(
+                f"{self.capsules} is not a file of capsules ({error}); for each link it needs "
+                '"LINK": {"from": [x, y, z], "to": [x, y, z], "radius": r}'
+            ) from error
+        return Bodies.of(robot, made, pairs)
+
+
+def plan(
+    robot: RobotOptions,
+    task: TaskOptions = TaskOptions(),
+    path: PlanPath = PlanPath(),
+    within: Obstructed = Obstructed(),
+    output: Output = Output(),
+    save: Annotated[Path | None, tyro.conf.arg(name="plan")] = None,
+) -> int:
+    """Plan joints along a whole task path: continuous, within limits, clear of what is in the way, closed if asked.
+
+    Exit code 0: planned; 1: refused, with the reason, or stopped; 2: bad input. Files go where --plan, --json, --csv,
+    --html, --plot or --out say.
+
+    Args:
+        robot: Which robot.
+        task: What the robot must do.
+        path: Where the task should go.
+        within: What is in the way, and what is kept.
+        output: What to keep.
+        save: File for the plan (.npz), which `eos-pin track --plan` follows.
+
+    For example:
+
+      eos-pin plan panda --path circle --size 0.45 --centre 0 0 0.5 --closed --plan circle.npz
+      eos-pin plan panda --path path.csv --task pose --scene boxes.yaml --self-collision --csv joints.csv
+      eos-pin track panda --plan circle.npz
+    """
+    from eos_pin.planning.planner import plan as planned
+    from eos_pin.planning.scene import read_scene
+
+    files = output.within(
+        None, names={"json": "plan.json", "csv": "joints.csv", "html": "replay.html", "plot": "plan.png"}
+    )
+    machine = robot.load()
+    say_notes(machine)
+    goal, q = task.make(machine)
+    curve = path.make(goal, q)
+    scene = read_scene(within.scene) if within.scene is not None else None
+    bodies = within.bodies(machine)
+    wanted = save or (files.out / "plan.npz" if files.out else None)
+    with _progress(f"{machine.name}, {task.task}") as report:
+        try:
+            found = planned(
+                goal,
+                curve,
+                closed=path.closed,
+                scene=scene,
+                bodies=bodies,
+                self_collision=within.self_collision,
+                clearance=within.clearance,
+                margin=within.margin,
+                joint_step=within.joint_step,
+                start=within.start or None,
+                reconfigurations=within.reconfigurations,
+                keep_time=None if path.path.lower().endswith((".csv", ".tsv", ".txt")) else path.period is not None,
+                seed=output.seed,
+                effort=within.effort,
+                progress=report,
+            )
+        except PlanError as error:
+            report("", 1.0)
+            return _refused(error, files, path.closed)
+    console.print(_table(found))
+    if found.info["message"]:
+        stderr.print(found.info["message"], soft_wrap=True)
+    print_files(_deliver(found, files, wanted, scene))
+    return 0 if found.status == "planned" else 1
+
+
+def _refused(error: PlanError, files: Output, closed: bool) -> int:
+    """Tell why there is no plan, on the terminal and in the JSON."""
+    status = "interrupted" if error.stopped else "refused"
+    stderr.print(f"[bold]{status}:[/] ", end="")
+    stderr.print(str(error), markup=False, soft_wrap=True)
+    if files.json is not None:
+        info = dict.fromkeys(FIGURES) | {"closed": closed, "waypoint": error.waypoint, "reached": error.reached}
+        info |= error.info
+        print_files([write_json(files.json, {"status": status, "message": str(error)} | info)])
+    return 1
+
+
+def _deliver(found: Plan, files: Output, wanted: Path | None, scene: Scene | None) -> list[Path]:
+    written = []
+    if wanted is not None:
+        written.append(found.save(wanted))
+    if files.json is not None:
+        written.append(write_json(files.json, found.info))
+    if files.csv is not None:
+        written.append(found.to_csv(files.csv, derivatives=False))
+    if files.html is not None or files.plot is not None or files.view:
+        written += _draw(found, files, scene)
+    return written
+
+
+def _draw(found: Plan, files: Output, solids: Scene | None) -> list[Path]:
+    """Write the figure and the replay that are asked for."""
+    import numpy as np
+
+    from eos_pin.plots.pages import save
+    from eos_pin.plots.plan import picture
+    from eos_pin.simulation._recorder import joint_run
+    from eos_pin.trajectories.through import sampled
+    from eos_pin.viewer.solids import obstacles_of
+    from eos_pin.viewer.viewer import write_html
+
+    written = []
+    if files.plot is not None:
+        written.append(save(picture(found), files.plot))
+    if files.html is not None or files.view:
+        times = np.linspace(found.start, found.end, min(2000, 4 * len(found.times)))
+        joints = found.joints(times)
+        result = joint_run(found.task, times - found.start, joints, sampled(found.path, times), period=found.period)
+        scene = scene_of(result, found.robot, obstacles_of(solids), title=f"{found.robot.name}: plan")
+        if files.html is not None:
+            written.append(write_html(files.html, scene, result.t, result.q))
+        if files.view:
+            show(scene, result)
+    return written
+
+
+def _table(found: Plan) -> Any:
+    from rich.table import Table
+
+    info = found.info
+    table = Table(title=f"{found.robot.name}: {found.task!r}", show_header=False)
+    table.add_row("status", info["status"])
+    table.add_row(
+        "path", f"{'closed' if info['closed'] else 'open'}, {info['waypoints']} way points, {info['duration']:.4g} s"
+    )
+    table.add_row("reconfigurations", str(info["reconfigurations"]))
+    table.add_row("task error, at any time", f"{format_number(info['task_error_max'])} m or rad")
+    table.add_row("largest step of a joint", f"{format_number(info['joint_step_max'])} rad or m")
+    table.add_row("joint motion", f"{format_number(info['joint_motion'])} rad")
+    table.add_row("least distance from a limit", f"{format_number(info['limit_distance_min'])} rad or m")
+    if info["clearance_min"] is not None:
+        table.add_row("least clearance", f"{format_number(info['clearance_min'])} m")
+    table.add_row("chart switches at margin 0.5", str(info["switches"]))
+    table.add_row("planning time", f"{info['seconds']:.2f} s")
+    return table
+
+
+@contextmanager
+def _progress(title: str) -> Iterator[Report]:
+    """Progress bar on the terminal."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=stderr, transient=True) as progress:
+        bar = progress.add_task(title, total=1.0)
+        yield lambda what, part: progress.update(bar, description=f"{title}: {what}", completed=part)

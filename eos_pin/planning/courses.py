@@ -1,0 +1,162 @@
+"""Joints at all points of a path from joints at some of them, and mended where limits or distances are broken."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from eos_pin._arrays import Array
+from eos_pin.planning.grid import Grid
+from eos_pin.planning.refine import NEAR, SMALL, Barrier, Course, descended
+from eos_pin.tasks.batch import Manifold
+from eos_pin.trajectories.through import sampled
+
+#: Room beyond what is asked for, so that what is mended is well inside: in joints [rad or m], distances [m], steps.
+ROOM, CLEAR, WITHIN = 2e-3, 2e-3, 0.97
+#: Weights of the cost beside what is broken, round by round.
+SHARES = (1e-2, 1e-3, 1e-4)
+#: Largest correction of a joint where the path is filled in [rad or m].
+CORRECTION = 0.35
+
+
+class Mended(NamedTuple):
+    """Joints that keep everything, or what could not be mended.
+
+    Attributes:
+        q: Joints, (L, n); None where they could not be mended.
+        reason: What remains, in words.
+        row: Where it is worst.
+    """
+
+    q: Array | None
+    reason: str = ""
+    row: int = 0
+
+
+def prolonged(
+    manifold: Manifold, grid: Grid, way: Float[Array, "l n"], rows: Int[Array, " l"]
+) -> Float[Array, "L n"] | None:
+    """Joints at all points of a path, from a spline through those at some of them; None where they are not near it."""
+    if len(rows) == len(grid.Z):
+        return way
+    from scipy.interpolate import CubicSpline
+
+    times, values = grid.times[rows], way
+    if grid.closed:
+        times, values = np.append(times, grid.times[0] + grid.dt.sum()), np.concatenate((way, way[:1]))
+    curve = CubicSpline(times, values, bc_type="periodic" if grid.closed else "not-a-knot")
+    guess = curve(grid.times)
+    q, found = manifold.project(guess.T, grid.Z.T)
+    if not found.all() or np.abs(q.T - guess).max() > CORRECTION:
+        return None
+    q = np.ascontiguousarray(q.T)
+    q[rows] = way
+    return q
+
+
+def broken_at(manifold: Manifold, grid: Grid, q: Float[Array, "L n"]) -> int | None:
+    """Point after which joints are not continuous: halfway to the next the path's joints are not near; None without."""
+    following = np.roll(q, -1, axis=0) if grid.closed else q[1:]
+    q, dt = q[: len(following)], grid.dt[: len(following)]
+    middle = 0.5 * (q + following)
+    on, found = manifold.project(middle.T, sampled(grid.path, grid.times[: len(q)] + 0.5 * dt).T, iterations=10)
+    off = np.abs(on.T - middle).max(axis=1)
+    wrong = ~found | (off > 0.3 * np.abs(following - q).max(axis=1) + 0.02)
+    return int(wrong.argmax()) if wrong.any() else None
+
+
+class Penalty(Barrier):
+    """The cost, a little, and squares of what is broken.
+
+    Args:
+        course: The problem.
+        share: What the cost counts.
+    """
+
+    def __init__(self, course: Course, share: float) -> None:
+        super().__init__(course, 1.0)
+        self.share = share
+
+    def _broken(self, q: Array) -> tuple[Array, Array, Array | None]:
+        """How far joints are beyond their limits, negative below, and distances below the least, in parts of `NEAR`."""
+        problem = self.course.problem
+        room = np.minimum(ROOM, 0.1 * (problem.upper - problem.lower))
+        beyond = np.maximum(q - (problem.upper - room), 0.0) - np.maximum(problem.lower + room - q, 0.0)
+        if problem.clearances is None or not len(problem.clearances):
+            return beyond, np.empty((0, len(q))), None
+        pairs = problem.clearances.pairs(q.T)
+        return beyond, np.maximum(problem.gap + CLEAR - pairs, 0.0) / NEAR, pairs
+
+    def value(self, q: Float[Array, "L n"]) -> float:
+        course = self.course
+        beyond, close, _ = self._broken(q)
+        total = self.share * course.cost(q) + float((beyond**2).sum()) + float((close**2).sum())
+        if course.step is not None:
+            step = course.motion(q)
+            over = np.maximum(np.abs(step) / course.step[: len(step)] - WITHIN, 0.0)
+            total += float((over**2).sum())
+        return total
+
+    def steps(self, step: Array, bound: Array) -> tuple[Array, Array]:
+        over = np.maximum(np.abs(step) / bound - WITHIN, 0.0)
+        return 2.0 * over * np.sign(step) / bound, 2.0 * (over > 0.0) / bound**2
+
+    def slopes(self, q: Float[Array, "L n"], V: Float[Array, "L n r"]) -> tuple[Array, Array, Array, Array]:
+        problem = self.course.problem
+        L, _, r = V.shape
+        beyond, close, here = self._broken(q)
+        gx, hx = np.zeros((L, r)), np.zeros((L, r, r))
+        rows = np.flatnonzero(close.any(axis=0))
+        if here is not None and len(rows):
+            assert problem.clearances is not None
+            slope = np.zeros((len(here), L, r))
+            for i in range(r):
+                ahead = problem.clearances.pairs((q[rows] + SMALL * V[rows, :, i]).T)
+                slope[:, rows, i] = (ahead - here[:, rows]) / (SMALL * NEAR)
+            gx -= 2.0 * np.einsum("pk,pkr->kr", close, slope)
+            hx += 2.0 * np.einsum("pk,pkr,pks->krs", (close > 0.0).astype(float), slope, slope)
+        if problem.posture_cost is not None:
+            more = np.zeros_like(gx), np.zeros_like(hx)
+            self._posture(q, V, *more)
+            gx, hx = gx + self.share * more[0], hx + self.share * more[1]
+        return 2.0 * beyond, 2.0 * (beyond != 0.0), gx, hx
+
+
+def mended(course: Course, q: Float[Array, "L n"]) -> Mended:
+    """Joints near q that keep limits, distances and bounds of steps."""
+    if course.problem.r:
+        mean = course.cost(q) / len(q)
+        for share in SHARES:
+            q = descended(course, Penalty(course, share / max(mean, 1e-12)), q, 40, enough=course.kept)
+            if course.kept(q):
+                return Mended(q)
+    elif course.kept(q):
+        return Mended(q)
+    return Mended(None, *_broken(course, q))
+
+
+def _broken(course: Course, q: Array) -> tuple[str, int]:
+    """What is broken, in words, and where it is worst."""
+    problem, robot = course.problem, course.problem.manifold.robot
+    for room, end in ((q - problem.lower, "lower"), (problem.upper - q, "upper")):
+        if (room < 0.0).any():
+            row, joint = np.unravel_index(int(room.argmin()), room.shape)
+            return f"{robot.joints[joint].name!r} is {-room[row, joint]:.3g} beyond its {end} limit", int(row)
+    if problem.clearances is not None and len(problem.clearances):
+        pairs = problem.clearances.pairs(q.T)
+        if (pairs < problem.gap).any():
+            pair, row = np.unravel_index(int(pairs.argmin()), pairs.shape)
+            a, b = problem.clearances.names[int(pair)]
+            return f"{a!r} is {pairs[pair, row]:.3g} m from {b!r}", int(row)
+    if course.step is not None:
+        step = course.motion(q)
+        part = np.abs(step) / course.step[: len(step)]
+        row, joint = np.unravel_index(int(part.argmax()), part.shape)
+        return (
+            f"{robot.joints[joint].name!r} would have to go {abs(step[row, joint]):.3g} in one step, "
+            f"{part[row, joint]:.3g} times as far as it may",
+            int(row),
+        )
+    return "the motion is not continuous", 0

@@ -1,0 +1,204 @@
+"""The problem that a plan solves: which joints are allowed at a task point, which steps between two, at what cost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from eos_pin._arrays import (
+    Array,
+    VectorLike,
+    broadcast,
+    frozen_copy,
+    number,
+    vector,
+)
+from eos_pin.errors import InputError
+from eos_pin.planning.bodies import Bodies, Clearances
+from eos_pin.planning.scene import Scene
+from eos_pin.tasks.base import Task
+from eos_pin.tasks.batch import Manifold
+
+#: A cost of postures: their joints as rows (K, n), and a number for each, (K,).
+PostureCost: TypeAlias = Callable[[Float[np.ndarray, "K n"]], Float[np.ndarray, " K"]]
+
+
+class Bar(NamedTuple):
+    """What bars some postures.
+
+    Attributes:
+        reason: What it is, in words.
+        postures: How many of the postures.
+    """
+
+    reason: str
+    postures: int
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is allowed, and what it costs.
+
+    Attributes:
+        manifold: The task's manifolds.
+        lower: Least joints, margin included; −inf without limit.
+        upper: Largest joints.
+        clearances: Distances that count; None without.
+        gap: Least distance that is allowed [m].
+        weights: Weight of each joint's motion in the cost, (n,).
+        posture_cost: Cost of being at a posture, per unit of time; None without.
+    """
+
+    manifold: Manifold
+    lower: Array
+    upper: Array
+    clearances: Clearances | None
+    gap: float
+    weights: Array
+    posture_cost: PostureCost | None = None
+
+    @property
+    def r(self) -> int:
+        """Degree of redundancy."""
+        return self.manifold.n - self.manifold.m
+
+    @cached_property
+    def sampling(self) -> tuple[Array, Array]:
+        """Bounds within which postures are drawn: the limits, or a turn, or for a slide the robot's reach."""
+        robot = self.manifold.robot
+        far = np.array([robot.reach if joint.kind == "prismatic" else np.pi for joint in robot.joints])
+        lower = np.where(np.isfinite(self.lower), self.lower, np.minimum(-far, self.upper - 2.0 * far))
+        upper = np.where(np.isfinite(self.upper), self.upper, np.maximum(far, self.lower + 2.0 * far))
+        return lower, upper
+
+    @cached_property
+    def scale(self) -> Array:
+        """Motion of each joint that counts like a radian, (n,) [rad or m]."""
+        robot = self.manifold.robot
+        return np.array([0.3 * robot.reach if joint.kind == "prismatic" else 1.0 for joint in robot.joints])
+
+    def inside(self, Q: Float[Array, "n K"]) -> Bool[Array, " K"]:
+        """Whether postures are within the limits."""
+        return np.logical_and(self.lower[:, None] <= Q, self.upper[:, None] >= Q).all(axis=0).reshape(-1)
+
+    def allowed(self, Q: Float[Array, "n K"]) -> Bool[Array, " K"]:
+        """Whether postures are within the limits and clear of everything."""
+        allowed = self.inside(Q)
+        if self.clearances is not None and len(self.clearances) and allowed.any():
+            allowed[allowed] = self.clearances(Q[:, allowed]) >= self.gap
+        return allowed
+
+    def random(self, random: np.random.Generator, count: int) -> Float[Array, "n count"]:
+        """Random postures within the bounds for sampling."""
+        lower, upper = self.sampling
+        return random.uniform(lower, upper, (count, lower.size)).T
+
+    def solutions(self, Z: Float[Array, "size #K"], random: np.random.Generator) -> tuple[Array, Array]:
+        """Postures at task points, searched for from random ones, and whether each was found and is allowed."""
+        Q, found = self.manifold.search(self.random(random, Z.shape[1]), Z, self.sampling)
+        found[found] = self.allowed(Q[:, found])
+        return Q, found
+
+    def cost(self, Q: Float[Array, "n K"]) -> Float[Array, " K"]:
+        """Cost of being at postures, per unit of time."""
+        if self.posture_cost is None:
+            return np.zeros(Q.shape[1])
+        return np.asarray(self.posture_cost(Q.T), dtype=float)
+
+    def bars(self, Q: Float[Array, "n K"], found: Bool[Array, " K"]) -> list[Bar]:
+        """What bars postures, the most frequent first: no solution, a joint's limit, or a pair that comes too close."""
+        robot, counts = self.manifold.robot, dict[str, int]()
+
+        def note(reason: str, count: int) -> None:
+            if count:
+                counts[reason] = counts.get(reason, 0) + count
+
+        note("a singularity of the task or the end of its reach", int((~found).sum()))
+        Q = Q[:, found]
+        below, above = self.lower[:, None] > Q, self.upper[:, None] < Q
+        first = np.where((below | above).any(axis=0), (below | above).argmax(axis=0), -1)
+        for j, joint in enumerate(robot.joints):
+            note(f"the lower limit of {joint.name!r}", int(((first == j) & below[j]).sum()))
+            note(f"the upper limit of {joint.name!r}", int(((first == j) & ~below[j]).sum()))
+        Q = Q[:, first < 0]
+        if self.clearances is not None and len(self.clearances) and Q.shape[1]:
+            distances = self.clearances.pairs(Q)
+            worst = distances.argmin(axis=0)[distances.min(axis=0) < self.gap]
+            for pair in np.unique(worst).tolist():
+                a, b = self.clearances.names[pair]
+                note(f"{a!r} too close to {b!r}", int((worst == pair).sum()))
+        return sorted((Bar(*item) for item in counts.items()), key=lambda bar: -bar.postures)
+
+
+def told(bars: Sequence[Bar]) -> str:
+    """What bars the way, in words."""
+    return ", ".join(f"{bar.postures} by {bar.reason}" for bar in bars) or "none"
+
+
+def problem_of(
+    manifold: Manifold,
+    scene: Scene | None,
+    bodies: Bodies | None,
+    self_collision: bool,
+    clearance: float,
+    margin: float,
+    limits: tuple[VectorLike, VectorLike] | None,
+    cost: PostureCost | None,
+    weights: float | VectorLike,
+) -> Problem:
+    """Problem on a manifold; arguments as in `plan`.
+
+    Raises:
+        InputError: A joint has no room to move, the scene is empty, or a number is out of its range.
+    """
+    robot = manifold.robot
+    room = number(margin, "the margin from joint limits", at_least=0.0)
+    lower, upper = robot.lower, robot.upper
+    if limits is not None:
+        lower, upper = (np.asarray(end, dtype=float) for end in limits)
+        if lower.shape != (robot.n,) or upper.shape != (robot.n,):
+            raise InputError(
+                f"limits must be two rows of {robot.n} numbers, got shapes {lower.shape} and {upper.shape}"
+            )
+    # A joint without this much room moves within half of what it has.
+    room_of = np.minimum(room, 0.25 * np.maximum(upper - lower, 0.0))
+    for joint, least, most in zip(robot.joints, lower, upper, strict=True):
+        if not least < most:
+            raise InputError(f"joint {joint.name!r} has no room to move: its limits are {least:g} and {most:g}")
+    weight = broadcast(weights, robot.n, "the weights of joints")
+    if not (weight > 0.0).all():
+        raise InputError(f"the weights of joints must be positive, got {weight.tolist()}")
+    clearances = None
+    if scene is not None and not len(scene):
+        raise InputError("the scene is empty; leave it out where nothing is in the way")
+    if scene is not None or self_collision:
+        bodies = bodies or Bodies.fitted(robot)
+        if not self_collision:
+            bodies = Bodies(robot, bodies.capsules, ())
+        clearances = Clearances(bodies, scene or Scene())
+    gap = number(clearance, "the clearance", at_least=0.0)
+    return Problem(manifold, lower + room_of, upper - room_of, clearances, gap, frozen_copy(weight), cost)
+
+
+def given(q: VectorLike | None, task: Task, z: Array, name: str) -> Array | None:
+    """Joints that are to be at a task point, moved there from nearby; None stays None.
+
+    Raises:
+        InputError: They are not there.
+    """
+    if q is None:
+        return None
+    joints = vector(q, task.robot.n, f"the joints at the {name}")
+    error = float(np.abs(task.minus(z, task.value(joints))).max())
+    if error > 1e-3:
+        raise InputError(
+            f"the joints at the {name} are {error:.3g} m or rad away from that point of the path; move there first, or "
+            "plan from any joints"
+        )
+    found, good = Manifold(task).project(joints[:, None], z[:, None])
+    return found[:, 0] if good[0] else joints

@@ -1,0 +1,354 @@
+"""Task paths for planning: smooth curves through way points, in the coordinates of any task."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from eos_pin._arrays import Array, VectorLike, frozen_copy, vector
+from eos_pin.errors import InputError
+from eos_pin.tasks.base import PointLike, StackedTask, Task
+from eos_pin.tasks.extent import check_reach
+from eos_pin.tasks.orientation import HeadingTask, OrientationTask, PoseTask
+from eos_pin.trajectories.base import Hold, Target, Trajectory
+from eos_pin.trajectories.harmonic import Harmonic, circle, figure_eight, line
+from eos_pin.trajectories.stacked import StackedTrajectory
+from eos_pin.trajectories.waypoints import read_waypoints
+
+#: A gap between way points is a jump where it is this many times the median, and this long in metres and radians.
+JUMP, LONG = 20.0, 0.05
+#: First and last way point of a closed path are the same up to this [m, rad].
+SAME = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class WaypointPath(Trajectory):
+    """A curve through way points with continuous acceleration; it repeats if it is closed.
+
+    Numbers follow cubic splines; a rotation follows the spline of its quaternion, scaled to length 1.
+
+    Attributes:
+        task: The task whose points these are.
+        points: Way points, (K, size); of a closed path the last is the first again.
+        times: Increasing times [s], (K,).
+        closed: Whether it repeats.
+    """
+
+    task: Task
+    points: Float[Array, "K size"]
+    times: Float[Array, " K"]
+    closed: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", frozen_copy(self.points))
+        object.__setattr__(self, "times", frozen_copy(self.times))
+        if self.closed:
+            object.__setattr__(self, "period", float(self.times[-1] - self.times[0]))
+        else:
+            object.__setattr__(self, "begin", float(self.times[0]))
+            object.__setattr__(self, "duration", float(self.times[-1]))
+
+    @cached_property
+    def _channels(self) -> list[tuple[slice, bool, Any]]:
+        """For each part of the task: where it is in z, whether it is a rotation, and its spline with derivatives."""
+        return [
+            (part, turning, self._spline(self.points[:, part], turning, angle))
+            for part, turning, angle in channels(self.task)
+        ]
+
+    def _spline(self, values: Array, turning: bool, angle: bool) -> Any:
+        from scipy.interpolate import CubicSpline
+
+        if turning:
+            values = unrolled(values)
+        elif angle:
+            values = np.unwrap(values, axis=0)
+        times = self.times
+        if self.closed:
+            # Where a quaternion comes back negative, or an angle a turn further, only two rounds together repeat.
+            if turning and values[-1] @ values[0] < 0.0:
+                values = np.concatenate((values, -values[1:]))
+                times = np.concatenate((times, times[1:] + self.period))
+            elif angle:
+                turn = values[-1] - values[0]
+                drift = np.outer((times - times[0]) / self.period, turn)
+                values = values - drift
+                values[-1] = values[0]
+                slope, start = turn / self.period, float(times[0])
+                curve = CubicSpline(times, values, bc_type="periodic", axis=0)
+                return (
+                    lambda t: curve(t) + np.multiply.outer(np.asarray(t) - start, slope),
+                    lambda t: curve(t, 1) + slope,
+                    lambda t: curve(t, 2),
+                )
+            else:
+                values = np.array(values)
+            values[-1] = values[0]
+        elif len(times) == 2:
+            middle = 0.5 * (values[:1] + values[1:])
+            values, times = np.insert(values, 1, middle, axis=0), np.insert(times, 1, times.mean())
+        curve = CubicSpline(times, values, bc_type="periodic" if self.closed else "not-a-knot", axis=0)
+        return curve, curve.derivative(1), curve.derivative(2)
+
+    def __call__(self, t: float) -> Target:
+        z, dz, ddz = self.sample(np.array([t]))
+        return Target(z[0], dz[0], ddz[0])
+
+    def sample(self, times: Float[Array, " K"]) -> tuple[Array, Array, Array]:
+        """z, dz, ddz at several times, each (K, …); an open path rests before its start and after its end."""
+        t = np.asarray(times, dtype=float)
+        inside = np.clip(t, self.times[0], self.times[-1]) if not self.closed else t
+        z = np.empty((len(t), self.task.size))
+        rates: list[list[Array]] = [[], []]
+        for part, turning, (value, slope, bend) in self._channels:
+            p, dp, ddp = value(inside), slope(inside), bend(inside)
+            if turning:
+                p, dp, ddp = _rotation(p, dp, ddp)
+            z[:, part] = p
+            rates[0].append(dp)
+            rates[1].append(ddp)
+        dz, ddz = (np.concatenate(rate, axis=1) for rate in rates)
+        if not self.closed:
+            resting = (t < self.times[0]) | (t > self.times[-1])
+            dz[resting], ddz[resting] = 0.0, 0.0
+        return z, dz, ddz
+
+    def describe(self) -> dict[str, Any]:
+        """Plain values from which `WaypointPath(task, …)` makes the same path."""
+        return {"points": self.points.tolist(), "times": self.times.tolist(), "closed": self.closed}
+
+
+def channels(task: Task) -> list[tuple[slice, bool, bool]]:
+    """Parts of a task point: where each is, whether it is a rotation, and whether it is an angle."""
+    if isinstance(task, StackedTask):
+        found, first = [], 0
+        for part in task.tasks:
+            found += [(slice(s.start + first, s.stop + first), r, a) for s, r, a in channels(part)]
+            first += part.size
+        return found
+    if isinstance(task, PoseTask):
+        return [(slice(0, 3), False, False), (slice(3, 12), True, False)]
+    return [(slice(0, task.size), isinstance(task, OrientationTask), isinstance(task, HeadingTask))]
+
+
+def waypoint_path(
+    task: Task,
+    points: Sequence[PointLike] | Array,
+    times: VectorLike | None = None,
+    *,
+    closed: bool = False,
+    names: Sequence[str] = (),
+) -> WaypointPath:
+    """Smooth path through way points.
+
+    Args:
+        task: The task.
+        points: Two way points or more, in any form that `Task.point` takes.
+        times: Increasing times [s]; by default the path is run at an even pace, a metre or a radian a second or less.
+        closed: Whether the path returns to its first point. The last one may be the first again or the one before it.
+        names: How each way point is called in messages; by default its number.
+
+    Raises:
+        InputError: Fewer than two, one twice in a row, a jump between two, or a closed path that does not close.
+    """
+    names = names or [f"way point {k}" for k in range(len(points))]
+    if len(points) < 2:
+        raise InputError(f"a path needs at least two way points, got {len(points)}")
+    z = []
+    for k, point in enumerate(points):
+        try:
+            z.append(task.point(point))
+        except InputError as error:
+            raise InputError(f"{names[k]}: {error}") from error
+    steps = np.array([task.minus(b, a) for a, b in pairwise(z)])
+    gaps = _lengths(steps)
+    middle = float(np.median(gaps))
+    for k in np.flatnonzero(gaps < 1e-9 + 1e-6 * middle).tolist():
+        if times is None:
+            raise InputError(
+                f"{names[k + 1]} is the same as {names[k]}; leave one of them out, or give times to let the robot wait"
+            )
+    worst = int(gaps.argmax())
+    if len(gaps) > 3 and gaps[worst] > JUMP * middle and gaps[worst] > LONG:
+        raise InputError(
+            f"the path jumps by {gaps[worst]:.3g} m or rad from {names[worst]} to {names[worst + 1]}, {JUMP:g} times "
+            f"further than others ({middle:.3g}); add way points between them, or plan two paths"
+        )
+    if closed:
+        gap = float(_lengths(task.minus(z[0], z[-1])[None])[0])
+        if gap > max(1.5 * float(gaps.max()), SAME):
+            raise InputError(
+                f"the path is to be closed, but its last way point is {gap:.3g} m or rad away from its first, and its "
+                f"longest step is {float(gaps.max()):.3g}; leave out --closed, or lead it back"
+            )
+        if gap <= SAME:
+            z[-1] = z[0]
+        else:
+            z.append(z[0])
+            gaps = np.append(gaps, gap)
+    if times is None:
+        clock = np.concatenate(([0.0], np.cumsum(gaps)))
+    else:
+        clock = vector(times, len(points), "the times of a path")
+        if len(z) > len(points):
+            clock = np.append(clock, clock[-1] + float(np.median(np.diff(clock))))
+        if not (np.diff(clock) > 0.0).all():
+            raise InputError(f"the times of a path must increase, got {clock.tolist()}")
+    return WaypointPath(task, np.array(z), clock, closed)
+
+
+def read_path(path: str | Path, task: Task, z: Array, *, closed: bool = False) -> WaypointPath:
+    """Path of a task from a file of way points; `z` gives what its columns do not.
+
+    Args:
+        path: File for `read_waypoints`.
+        task: The task.
+        z: Task point whose rotation is kept where the file has positions only, (size,).
+        closed: Whether the path returns to its first point.
+
+    Raises:
+        InputError: The file cannot be read, or does not fit the task.
+    """
+    table = read_waypoints(path)
+    rows = np.repeat(z[None], len(table), axis=0)
+    for part, turning, angle in channels(task):
+        width = part.stop - part.start
+        if table.values is not None and table.values.shape[1] in (task.size, width):
+            rows[:, part] = table.values[:, part] if table.values.shape[1] == task.size else table.values
+        elif turning and table.rotation is not None:
+            rows[:, part] = table.rotation.reshape(-1, 9)
+        elif angle and table.heading is not None:
+            rows[:, part] = table.heading[:, None]
+        elif not turning and not angle and table.position is not None and table.position.shape[1] >= width:
+            rows[:, part] = table.position[:, :width]
+        elif not turning:
+            raise InputError(
+                f"{path} has the columns {', '.join(table.columns)}, which do not give {width} coordinates "
+                f"({', '.join(task.labels)}) of the task {task!r}"
+            )
+    if table.position is not None:
+        check_reach(task, rows, str(table.source), table.lines)
+    names = [f"{path}, line {line}" for line in table.lines]
+    return waypoint_path(task, rows, table.t, closed=closed, names=names)
+
+
+def unrolled(rotations: Float[Array, "K 9"]) -> Float[Array, "K 4"]:
+    """Quaternions x, y, z, w of rotation matrices, each on the side of the one before."""
+    from scipy.spatial.transform import Rotation
+
+    quaternions = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat()
+    signs = np.sign((quaternions[1:] * quaternions[:-1]).sum(axis=1))
+    quaternions[1:] *= np.cumprod(np.where(signs == 0.0, 1.0, signs))[:, None]
+    return quaternions
+
+
+def _rotation(s: Array, ds: Array, dds: Array) -> tuple[Array, Array, Array]:
+    """Rotation matrices, angular velocities and accelerations of quaternions that need not have length 1."""
+    length = np.linalg.norm(s, axis=1)[:, None]
+    p = s / length
+    rate = (p * ds).sum(axis=1)[:, None]
+    dp = (ds - p * rate) / length
+    rate2 = (dp * ds).sum(axis=1)[:, None] + (p * dds).sum(axis=1)[:, None]
+    ddp = (dds - dp * rate - p * rate2) / length - dp * rate / length
+    x, y, z, w = p.T
+    R = np.stack(
+        (
+            1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+            2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+            2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
+        ),
+        axis=1,
+    )  # fmt: skip
+    # The angular velocity is the vector part of 2 ṗ p*, the acceleration that of 2 p̈ p*.
+    return R, _times_conjugate(dp, p), _times_conjugate(ddp, p)
+
+
+def _times_conjugate(a: Array, p: Array) -> Array:
+    return 2.0 * (p[:, 3:] * a[:, :3] - a[:, 3:] * p[:, :3] - np.cross(a[:, :3], p[:, :3]))
+
+
+def _lengths(steps: Float[Array, "K m"]) -> Array:
+    return np.sqrt((steps**2).sum(axis=1))
+
+
+def sampled(path: Trajectory, times: Array) -> Array:
+    """Task points of any trajectory at several times, (K, size)."""
+    if isinstance(path, WaypointPath):
+        return path.sample(times)[0]
+    return np.array([path(float(t)).z for t in times])
+
+
+def span(path: Trajectory) -> tuple[float, float]:
+    """Start and end of a path [s]: one round where it repeats.
+
+    Raises:
+        InputError: It neither repeats nor ends.
+    """
+    start = float(getattr(path, "start", path.times[0] if isinstance(path, WaypointPath) else path.begin))
+    if math.isfinite(path.period):
+        return start, start + path.period
+    if math.isfinite(path.duration) and path.duration > start:
+        return start, path.duration
+    raise InputError("the path has neither a period nor an end; plan a path that repeats or ends")
+
+
+def stretched(path: Trajectory, factor: float) -> Trajectory | None:
+    """The same path at a slower pace; None where it is a function that cannot be slowed down."""
+    if isinstance(path, WaypointPath):
+        start = path.times[0]
+        return replace(path, times=start + factor * (path.times - start))
+    if isinstance(path, Harmonic):
+        return replace(path, period=factor * path.period, phase=factor * path.phase)
+    if isinstance(path, Hold):
+        return path
+    if isinstance(path, StackedTrajectory):
+        parts = [stretched(part, factor) for part in path.parts]
+        return None if None in parts else StackedTrajectory(tuple(part for part in parts if part is not None))
+    return None
+
+
+def about(
+    task: Task, z: Array, shape: str, centre: VectorLike, size: float, plane: str | None, period: float
+) -> Trajectory:
+    """Circle or figure eight about a point, or line from it, for a task whose first coordinates are lengths.
+
+    Args:
+        task: The task.
+        z: Task point whose other coordinates are kept, (size,).
+        shape: `"circle"`, `"eight"` or `"line"`.
+        centre: Centre, or the first end of a line [m].
+        size: Radius, half width or length [m].
+        plane: Plane, by default the horizontal one; one axis for a line.
+        period: Time of one round [s].
+
+    Raises:
+        InputError: The task has no three lengths, or the plane is none.
+    """
+    first = task.tasks[0] if isinstance(task, StackedTask) else task
+    width = sum(unit == "m" for unit in first.units)
+    if width < 2 or task.units[:width] != ("m",) * width:
+        raise InputError(f"{task!r} has no plane to draw a path in")
+    middle = vector(centre, None, "the centre of the path")[:width]
+    if shape == "line":
+        axis = "xyz".find(plane or "y")
+        if axis < 0 or axis >= width:
+            raise InputError(f"a line runs along one of the axes {'xyz'[:width]!r}, got {plane!r}")
+        path = line(middle, size * np.eye(width)[axis], period=period)
+    elif shape == "circle":
+        # It begins at the upper end of the plane's first axis.
+        place = "xyz".find((plane or "xy")[0])
+        offset = size * np.eye(width)[place] if 0 <= place < width else np.zeros(width)
+        path = circle(middle + offset, size, period=period, plane=plane or "xy")
+    else:
+        path = figure_eight(middle, size, period=period, plane=plane or "xy")
+    if z.size == width:
+        return path
+    return StackedTrajectory((path, Hold(z[width:], task.m - width)))
