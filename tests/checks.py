@@ -22,6 +22,9 @@ DIFFERENCED = 1e-7
 
 STEP = 1e-5
 
+#: A whole turn [rad].
+TAU = 2.0 * np.pi
+
 
 def exact(*matrices, scale=1.0):
     """Tolerance for an identity in which these matrices are inverted: rounding times their condition numbers."""
@@ -66,6 +69,20 @@ def robot(name):
     """One of the robots above; the same object whenever it is asked for."""
     source, options = LOADING[name]
     return eos_pin.load_robot(source, **options)
+
+
+def planar(*joints, limits=3.0):
+    """Planar robot of these joint models with links of 1 m along x, whose last frame is `tip`."""
+    model, parent = pin.Model(), 0
+    model.name = "planar"
+    placement = pin.SE3.Identity()
+    for i, joint in enumerate(joints):
+        parent = model.addJoint(parent, joint, placement, f"joint{i}")
+        model.appendBodyToJoint(parent, pin.Inertia.FromSphere(1.0, 0.2), pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0])))
+        placement = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    model.addFrame(pin.Frame("tip", parent, 0, placement, pin.FrameType.OP_FRAME))
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -limits, limits
+    return eos_pin.Robot(model)
 
 
 def random_chain(seed):

@@ -173,7 +173,8 @@ class Chart:
             product = abs(math.prod(LU.diagonal().tolist())) / math.prod(diagonal)
             if product > enough:
                 return product
-        cosines, _ = lapack.dtrtrs(L, JQ, lower=1)
+        # OpenBLAS starts its threads for dtrtrs whatever the size, which can take a thousand times as long.
+        _, _, cosines, _ = lapack.dgesv(L, JQ)
         return float(np.linalg.svd(cosines, compute_uv=False)[-1])
 
     def contains(self, J: Jacobian, threshold: float) -> bool:

@@ -177,10 +177,14 @@ class Component:
 
     def locate(self, q: JointVector) -> Located:
         """The point of the curve nearest to a state that is on it or close by, by Newton's method from a node."""
-        difference = self._apart(q - self.curve.q)
-        i = int((difference * difference).sum(axis=1).argmin())
-        s = self.nodes[i] + float(difference[i] @ self.curve.t[i])
-        gap = difference[i]
+        # Of two strands side by side q is on the one that runs its way.
+        T = self._sense * self.kinematics.tangents(q[None], self.z)[0]
+        (i,), (gap,) = self.kinematics.nearest(q[None], T, self.curve)
+        if i < 0:
+            difference = self._apart(q - self.curve.q)
+            i = int((difference * difference).sum(axis=1).argmin())
+            gap = difference[i]
+        s = float(self.nodes[i] + gap @ self.curve.t[i])
         for _ in range(6):
             if not self.closed:
                 s = min(max(s, 0.0), self.length)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from eos_pin._arrays import (
     Array,
@@ -28,7 +28,11 @@ from eos_pin.tasks.base import Point, PointLike, Task
 #: Whether a robot collides at joints.
 Collision = Callable[[JointVector], bool]
 #: Starts of one round of the search for components.
-ROUND = 40
+ROUND = 100
+#: The search goes on while a component was met less often than this.
+OFTEN = 3
+#: Postures of each component that are turned over in search of others.
+SIDES = 8
 #: Task error of what is handed out [m, rad].
 TOLERANCE = 1e-10
 #: Points of an arc among which the best for a criterion is looked for, for each unit of arc length.
@@ -50,6 +54,7 @@ class SelfMotionManifold:
         covering: With more redundant joints: postures that cover what is within limits, and their neighbours.
         solved: Random starts that led to the task point.
         since_new: How many of them, the last ones, have led to what was known already.
+        hits: How many led to each component.
         collision: Whether the robot collides at joints; None where that does not count.
     """
 
@@ -62,6 +67,7 @@ class SelfMotionManifold:
     covering: Covering | None
     solved: int
     since_new: int
+    hits: tuple[int, ...]
     collision: Collision | None
 
     @property
@@ -196,7 +202,7 @@ def self_motion_manifold(
     limits: tuple[VectorLike, VectorLike] | None = None,
     collision: Collision | None = None,
     starts: Sequence[VectorLike] | Float[Array, "K n"] = (),
-    seeds: int = 60,
+    seeds: int = 150,
     tries: int = 1000,
     seed: int = 0,
     step: float = 0.1,
@@ -214,7 +220,8 @@ def self_motion_manifold(
         limits: Least and largest value of each joint; by default those of the robot.
         collision: Whether the robot collides at joints.
         starts: Postures to begin from, before random ones.
-        seeds: The search for components ends after so many random starts in a row have led to what is known.
+        seeds: The search for components ends after so many random starts in a row have led to what is known, and each
+            component was met three times.
         tries: It ends at the latest after so many random starts.
         seed: Which these are; the same seed, the same manifold.
         step: Largest step of one joint from node to node of a component [rad or m].
@@ -244,12 +251,14 @@ def self_motion_manifold(
     if robot.n - task.m > 1:
         found = search.within(min(seeds, tries))
         cover = covering(task, z, found, (lower, upper), collision, resolution, most)
-        return SelfMotionManifold(task, z, lower, upper, (), (), cover, len(found), 0, collision)
-    components, solved, since_new = search.components(seeds, tries, step)
+        return SelfMotionManifold(task, z, lower, upper, (), (), cover, len(found), 0, (), collision)
+    components, hits, solved, since_new = search.components(seeds, tries, step)
     arcs = [arc for i, component in enumerate(components) for arc in arcs_within(component, i, lower, upper)]
     if collision is not None:
         arcs = [piece for arc in arcs for piece in clear_arcs(components[arc.component], arc, collision)]
-    return SelfMotionManifold(task, z, lower, upper, tuple(components), tuple(arcs), None, solved, since_new, collision)
+    return SelfMotionManifold(
+        task, z, lower, upper, tuple(components), tuple(arcs), None, solved, since_new, tuple(hits), collision
+    )
 
 
 class _Search:
@@ -266,38 +275,75 @@ class _Search:
         self.least = np.where(revolute, -np.pi, np.where(np.isfinite(lower), lower, -reach))
         self.most = np.where(revolute, np.pi, np.where(np.isfinite(upper), upper, reach))
 
-    def components(self, seeds: int, tries: int, step: float) -> tuple[list[Component], int, int]:
-        """The components that were found, starts that led to the task point, and those of them since the last find."""
+    def components(self, seeds: int, tries: int, step: float) -> tuple[list[Component], list[int], int, int]:
+        """The components, starts that led to each, those that led to the task point, and those since the last find."""
         components: list[Component] = []
-        solved = since_new = tried = 0
-        while tried < tries and since_new < seeds:
+        hits: list[int] = []
+        solved = since_new = tried = turned = 0
+        # Where one was met only once or twice, another one as rare may well be missing.
+        while tried < tries and (since_new < seeds or min(hits, default=OFTEN) < OFTEN):
             count = min(ROUND, tries - tried)
             starts = self.random.uniform(self.least, self.most, (count, len(self.least)))
             if not tried:
                 starts = np.concatenate((self.given, starts))
             tried += count
-            # The nodes of what is traced from them are checked.
-            found = self.kinematics.project(starts, self.z, tol=1e-11, checked=False)
-            Q = found.q[found.found]
-            T = self.kinematics.tangents(Q, self.z)[0]
-            known = np.zeros(len(Q), dtype=bool)
-            for component in components:
-                known[~known] = component.passes(Q[~known], T[~known])
-            for k, q in enumerate(Q):
-                solved += 1
-                since_new += 1
-                if known[k]:
-                    continue
-                try:
-                    curve = self.kinematics.trace(self._wrapped(q), z=self.z, step=step)
-                except SingularError:
-                    continue
-                if len(curve.q) < 2:
-                    continue
-                components.append(Component(self.kinematics, frozen_copy(self.z), curve))
-                known[k:] |= components[-1].passes(Q[k:], T[k:])
-                since_new = 0
-        return components, solved, since_new
+            known = len(components)
+            numbers = self._lead(starts, components, step)
+            solved += len(numbers)
+            hits = [*hits, *[0] * (len(components) - known)]
+            for number in numbers:
+                hits[number] += 1
+            # Starts after the one that met a component first.
+            firsts = [int(np.argmax(numbers == number)) for number in range(known, len(components))]
+            since_new = len(numbers) - 1 - max(firsts) if firsts else since_new + len(numbers)
+            while turned < len(components):
+                # Each turned component may be new, and is turned as well.
+                known = len(components)
+                self._lead(self._turned(components[turned]), components, step)
+                turned += 1
+                if len(components) > known:
+                    hits += [0] * (len(components) - len(hits))
+                    since_new = 0
+        return components, hits, solved, since_new
+
+    def _lead(self, starts: Float[Array, "K n"], components: list[Component], step: float) -> Int[Array, " L"]:
+        """Number of the component that each start leads to, without those that lead nowhere; new ones are traced."""
+        # The nodes of what is traced are checked.
+        found = self.kinematics.project(starts, self.z, tol=1e-11, checked=False)
+        Q = found.q[found.found]
+        T, _ = self.kinematics.tangents(Q, self.z)
+        numbers = np.full(len(Q), -1, dtype=np.int64)
+        for i, component in enumerate(components):
+            numbers[component.passes(Q, T) & (numbers < 0)] = i
+        for k, q in enumerate(Q):
+            if numbers[k] >= 0:
+                continue
+            try:
+                curve = self.kinematics.trace(self._wrapped(q), z=self.z, step=step)
+            except SingularError:
+                continue
+            if len(curve.q) < 2:
+                continue
+            components.append(Component(self.kinematics, frozen_copy(self.z), curve))
+            own = components[-1].passes(Q[k:], T[k:]) & (numbers[k:] < 0)
+            own[0] = True
+            numbers[k:][own] = len(components) - 1
+        return numbers[numbers >= 0]
+
+    def _turned(self, component: Component) -> Float[Array, "K n"]:
+        """Postures of a component with three joints in a row the other way round, as a wrist has two sides.
+
+        Where the three axes meet at right angles the tip stays where it is; elsewhere the search has little left to do.
+        Small components, which random starts rarely meet, have others like them there.
+        """
+        Q = component.at(component.length * np.arange(SIDES) / SIDES)
+        turned = np.repeat(Q[:, None], max(0, Q.shape[1] - 2), axis=1)
+        for j in range(turned.shape[1]):
+            if self.kinematics.revolute[j : j + 3].all():
+                turned[:, j, j] += np.pi
+                turned[:, j, j + 1] *= -1.0
+                turned[:, j, j + 2] += np.pi
+        return turned.reshape(-1, Q.shape[1])
 
     def within(self, tries: int) -> Float[Array, "K n"]:
         """Postures at the task point within limits."""

@@ -5,27 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from checks import EXACT
+from checks import EXACT, TAU, planar
 
-from eos_pin import InputError, PoseTask, PositionTask, Robot, SingularError
+from eos_pin import InputError, PoseTask, PositionTask, SingularError
 from eos_pin._kernels import tracing
 from eos_pin._kernels.kinematics import MOST_NODES, SHORTEST
-
-TAU = 2.0 * np.pi
-
-
-def planar(*joints, limits=3.0):
-    """Planar robot of these joint models with links of 1 m along x, whose last frame is `tip`."""
-    model, parent = pin.Model(), 0
-    model.name = "planar"
-    placement = pin.SE3.Identity()
-    for i, joint in enumerate(joints):
-        parent = model.addJoint(parent, joint, placement, f"joint{i}")
-        model.appendBodyToJoint(parent, pin.Inertia.FromSphere(1.0, 0.2), pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0])))
-        placement = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
-    model.addFrame(pin.Frame("tip", parent, 0, placement, pin.FrameType.OP_FRAME))
-    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -limits, limits
-    return Robot(model)
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from test_tracing import TAU, planar
+from checks import TAU, planar
 
 from eos_pin import InputError, PoseTask, PositionTask
 from eos_pin.planning.manifold import self_motion_manifold
@@ -37,8 +37,11 @@ def test_components_of_a_planar_arm_are_as_many_as_its_theory_has(arm, z):
     manifold = self_motion_manifold(PositionTask(arm, "tip", "xy"), z)
     assert len(manifold.components) == (2 if np.hypot(*z) < 1.0 else 1)
     assert all(component.closed for component in manifold.components)
-    assert manifold.since_new >= 60
-    assert manifold.missed(0.1) < 0.01
+    assert manifold.since_new >= 150
+    assert manifold.missed(0.1) < 1e-6
+    assert len(manifold.hits) == len(manifold.components)
+    assert min(manifold.hits) >= 3
+    assert sum(manifold.hits) == manifold.solved
 
 
 def test_component_is_exact_at_any_arc_length(pose):
@@ -71,6 +74,19 @@ def test_components_are_the_same_whatever_the_seed(pose):
         ]
         for other in lengths[1:]:
             np.testing.assert_allclose(other, lengths[0], rtol=1e-4)
+
+
+def test_state_on_a_thin_loop_is_on_it_whichever_strand_is_nearer():
+    """Near the end of the reach the self-motion is a loop whose two strands are closer than its nodes."""
+    robot = planar(*[pin.JointModelRZ()] * 3)
+    task = PositionTask(robot, "tip", "xy")
+    manifold = self_motion_manifold(task, [2.999, 0.0])
+    assert len(manifold.components) == 1
+    component = manifold.components[0]
+    Q = component.at(np.linspace(0.0, component.length, 101))
+    T = task.kinematics.tangents(Q, manifold.z)[0]
+    assert component.passes(Q, T).all()
+    assert max(component.locate(q).distance for q in Q) <= 1e-9
 
 
 def test_turning_points_are_where_a_joint_turns_round(pose):
