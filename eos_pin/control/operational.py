@@ -143,15 +143,15 @@ class OperationalSpaceController(TaskController):
         ddz = self.task_acceleration(t, point)
         if self.drift:
             ddz = ddz - point.drift
-        # The torque is G'ᵀΛ(ddz + G'M⁻¹(bias − F⁰)) + F⁰, with M = LLᵀ and Y = L⁻¹G'ᵀ, so that Λ = (YᵀY)⁻¹.
+        # The torque is G'ᵀΛ(ddz + G'M⁻¹(bias − F⁰)) + F⁰, with M = LLᵀ and Y = M⁻¹G'ᵀ, so that Λ = (G'Y)⁻¹. OpenBLAS
+        # starts its threads for dtrtrs whatever the size, which can take a thousand times as long; not for dpotrs.
         bias = model.bias(q, dq)
         null = self.null_space.torque(model, q, dq)
         if self.null_space.compensates:
             null = null + bias
         L, _ = lapack.dpotrf(model.mass(q), lower=1)
-        Y, _ = lapack.dtrtrs(L, point.J.T, lower=1)
-        y, _ = lapack.dtrtrs(L, bias - null, lower=1)
-        R, force, info = lapack.dposv(Y.T.dot(Y), ddz + Y.T.dot(y))
+        Y, _ = lapack.dpotrs(L, point.J.T, lower=1)
+        R, force, info = lapack.dposv(point.J.dot(Y), ddz + Y.T.dot(bias - null))
         diagonal = R.diagonal().tolist()
         if info or min(diagonal) <= RANK_TOLERANCE * max(diagonal):
             check_rank(point.J)
