@@ -32,11 +32,10 @@ from eos_pin import (
     Controller,
     ControlLoop,
     EosController,
-    Hold,
     LimitedEosController,
     PoseTask,
+    PoseTrajectory,
     PositionTask,
-    StackedTrajectory,
     Task,
     Trajectory,
     figure_eight,
@@ -60,7 +59,7 @@ def problems() -> dict[str, tuple[Task, Trajectory]]:
     path = figure_eight(position.value(REST), 0.1, period=4.0, plane="yz")
     return {
         "position": (position, path),
-        "pose": (pose, StackedTrajectory((path, Hold(pose.value(REST)[3:], 3)))),
+        "pose": (pose, PoseTrajectory(path, pose=pose.value(REST))),
     }
 
 

@@ -28,13 +28,12 @@ from eos_pin import (
     Controller,
     EosController,
     Friction,
-    Hold,
     LimitedEosController,
     PoseTask,
+    PoseTrajectory,
     PositionTask,
     Result,
     SensorNoise,
-    StackedTrajectory,
     Task,
     TaskForce,
     Trajectory,
@@ -143,7 +142,7 @@ def _measure(kind: Literal["position", "pose"], name: str, controller: str, cycl
     z = task.value(POSTURE)
     path: Trajectory = figure_eight(z[:3] - (scenario.offset, 0.0, 0.0), 0.1, period=PERIOD, plane="yz")
     if kind == "pose":
-        path = StackedTrajectory((path, Hold(z[3:], 3)))
+        path = PoseTrajectory(path, pose=z)
     e = scenario.model_error
     push = TaskForce(PositionTask(robot, FRAME), lambda t: FORCE * (PUSHED <= t < PUSHED + LENGTH))
     result = simulate_sampled(

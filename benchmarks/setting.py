@@ -15,10 +15,9 @@ from lxml import etree
 from eos_pin import (
     Chart,
     EosController,
-    Hold,
     PoseTask,
+    PoseTrajectory,
     PositionTask,
-    StackedTrajectory,
     Task,
     Trajectory,
     figure_eight,
@@ -106,7 +105,7 @@ class Setting:
         """Figure eight that a control step follows."""
         z = self.task.value(self.posture)
         eight = figure_eight(z[:3], SIZE, period=ROUND, plane="yz")
-        return StackedTrajectory((eight, Hold(z[3:], 3))) if self.whole else eight
+        return PoseTrajectory(eight, pose=z) if self.whole else eight
 
     @cached_property
     def controller(self) -> EosController:

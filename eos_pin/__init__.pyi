@@ -77,6 +77,7 @@ from .tasks import task_from_description as task_from_description
 from .trajectories import Geodesic as Geodesic
 from .trajectories import Harmonic as Harmonic
 from .trajectories import Hold as Hold
+from .trajectories import PoseTrajectory as PoseTrajectory
 from .trajectories import StackedTrajectory as StackedTrajectory
 from .trajectories import Target as Target
 from .trajectories import Trajectory as Trajectory

@@ -5,7 +5,7 @@ Run it by `python examples/10_own_controller.py`.
 
 import numpy as np
 
-from eos_pin import Controller, Hold, PositionTask, TaskForce, circle, load_robot, simulate, simulate_sampled
+from eos_pin import Controller, PositionTask, TaskForce, circle, load_robot, simulate, simulate_sampled
 
 
 class Spring(Controller):
@@ -39,6 +39,6 @@ assert error < 1e-3
 
 # At rest under a push of 20 N the spring gives way by 20 N / 4000 N/m = 5 mm.
 push = TaskForce(task, lambda t: [0.0, 0.0, -20.0])
-result = simulate_sampled(robot, Spring(task, Hold(task.value(q))), q, duration=4.0, task_force=push)
+result = simulate_sampled(robot, Spring(task, task.hold(q)), q, duration=4.0, task_force=push)
 print(f"under a push of 20 N: off by {(1e3 * result.error[-1]).round(3)} mm")
 assert np.abs(result.error[-1] - [0.0, 0.0, 0.005]).max() < 1e-5

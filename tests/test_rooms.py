@@ -19,7 +19,7 @@ TABLE = """
     _kernels        pinocchio scipy
     robot           coal lxml pinocchio yourdfpy
     tasks           pinocchio
-    trajectories    scipy
+    trajectories    pinocchio scipy
     charts          scipy
     planning        coal pinocchio scipy trimesh yaml
     control         daqp scipy

@@ -15,12 +15,11 @@ from eos_pin import (
     ControlLoop,
     EosController,
     EosError,
-    Hold,
     JointLimits,
     LimitedEosController,
     PoseTask,
+    PoseTrajectory,
     PositionTask,
-    StackedTrajectory,
     Trajectory,
     figure_eight,
     load_robot,
@@ -35,7 +34,7 @@ def build(problem: Problem) -> Mapping[str, Call]:
     z = task.value(rest)
     path: Trajectory = figure_eight(z[:3], problem.size, period=problem.round, plane="yz")
     if problem.whole:
-        path = StackedTrajectory((path, Hold(z[3:], 3)))
+        path = PoseTrajectory(path, pose=z)
     gains = {"kp": problem.kp, "kd": problem.kd}
     tight = JointLimits.from_robot(robot, acceleration=problem.acceleration)
     controllers: dict[str, Controller] = {

@@ -25,9 +25,9 @@ from eos_pin.simulation.result import Result
 from eos_pin.tasks.base import StackedTask, Task
 from eos_pin.tasks.orientation import HeadingTask, PoseTask
 from eos_pin.tasks.position import PositionTask
-from eos_pin.trajectories.base import Hold, Trajectory
+from eos_pin.trajectories.base import Trajectory
 from eos_pin.trajectories.harmonic import Harmonic, figure_eight
-from eos_pin.trajectories.stacked import StackedTrajectory
+from eos_pin.trajectories.pose import PoseTrajectory
 
 #: Colours of obstacles at rest, and of those that move; they can be told apart without seeing colours.
 RESTING, MOVING = (0.80, 0.47, 0.65, 0.9), (0.90, 0.62, 0.0, 0.9)
@@ -135,7 +135,7 @@ def planar_chain(*, margin: float = 0.3, moving: bool = True, cycles: int = 2) -
         Obstacle(coal.Cylinder(0.25, 0.2), orbit, "moving disc", MOVING),
     )
     avoidance = Avoidance(Clearance(robot, discs), influence_distance=margin, posture=q)
-    return Application(task, q, StackedTrajectory((eight, nod)), avoidance, cycles)
+    return Application(task, q, PoseTrajectory(eight, nod), avoidance, cycles)
 
 
 def panda(*, task: Literal["pose", "position"] = "pose", margin: float = 0.15, cycles: int = 2) -> Application:
@@ -154,7 +154,7 @@ def panda(*, task: Literal["pose", "position"] = "pose", margin: float = 0.15, c
     z = goal.value(q)
     path: Trajectory = figure_eight(z[:3], (0.12, 0.2), period=10.0, plane="xz")
     if task == "pose":
-        path = StackedTrajectory((path, Hold(z[3:], 3)))
+        path = PoseTrajectory(path, pose=z)
     ball = Obstacle(coal.Sphere(0.07), [0.15, 0.06, 0.83], "ball", RESTING)
     avoidance = Avoidance(
         Clearance(robot, [ball]), influence_distance=margin, posture=q, pull=0.2, damping=1.0, longest=0.012

@@ -26,6 +26,7 @@ from eos_pin._arrays import (
 from eos_pin.errors import InputError, RobotError, UnknownNameError
 from eos_pin.robot._data import workspace
 from eos_pin.robot.model import Robot
+from eos_pin.tasks._flat import checked_pose
 
 #: Where an obstacle is: a point of the world [m], a pose, or either as a function of time [s].
 Placement: TypeAlias = "VectorLike | pin.SE3 | Callable[[float], VectorLike | pin.SE3]"
@@ -44,7 +45,8 @@ class Obstacle:
     Attributes:
         shape: Coal geometry in metres: `coal.Sphere(radius)`, `coal.Box(x, y, z)`, `coal.Cylinder(radius, height)`
             about z, `coal.Capsule`, `coal.Ellipsoid`, `coal.Cone`, or a mesh. A disc is a flat cylinder.
-        placement: Where it is in the world: a point [m], a `pin.SE3`, or a function of time [s] that returns either.
+        placement: Where it is in the world: a point [m], a `pin.SE3`, a 4 × 4 matrix, or a function of time [s] that
+            returns one of them.
         name: Name in the legend.
         color: Red, green, blue, opacity; each from 0 to 1.
     """
@@ -59,6 +61,9 @@ class Obstacle:
         placement = self.placement(t) if callable(self.placement) else self.placement
         if isinstance(placement, pin.SE3):
             return placement
+        if np.shape(placement) == (4, 4):
+            z = checked_pose(placement, f"the placement of {self.name!r}")
+            return pin.SE3(z[3:].reshape(3, 3), z[:3])
         return pin.SE3(np.eye(3), vector(placement, 3, f"position of {self.name!r}"))
 
 

@@ -12,17 +12,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
 
 from eos_pin._arrays import (
     Array,
     Jacobian,
     JointVector,
     TaskVector,
+    as_floats,
     vector,
 )
 from eos_pin._kernels.flat import Part
@@ -30,11 +30,10 @@ from eos_pin._kernels.kinematics import Kinematics
 from eos_pin.errors import InputError, UnknownNameError
 from eos_pin.robot._data import workspace
 from eos_pin.robot.model import Robot
-
-#: A flat task point, `Task.size` numbers.
-Point: TypeAlias = Float[np.ndarray, " size"]
-#: What a caller may give for a point: numbers, a rotation or homogeneous matrix, a `pin.SE3`.
-PointLike: TypeAlias = "Sequence[float] | Array | pin.SE3"
+from eos_pin.robot.postures import JointsLike
+from eos_pin.tasks._flat import Point as Point
+from eos_pin.tasks._flat import PointLike as PointLike
+from eos_pin.tasks.target import Hold
 
 #: The axes of velocities and Jacobians.
 WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -189,7 +188,19 @@ class Task(ABC):
         Raises:
             InputError: Wrong shape, not finite, or not a rotation.
         """
-        return vector(value, self.size, f"a point of {self!r}")
+        name = f"a point of {self!r}"
+        return vector(as_floats(value, name), self.size, name)
+
+    def hold(self, q: JointsLike) -> Hold:
+        """Trajectory that rests at the task point of the joints q.
+
+        Args:
+            q: Joints, (n,) or by name [rad or m].
+
+        Raises:
+            InputError: Not joints of this robot.
+        """
+        return Hold(self.value(self.robot.posture(q)), self.m)
 
     # -- identity ----------------------------------------------------------------------------------------------------
 
@@ -256,7 +267,8 @@ class StackedTask(Task, kind="stacked"):
         return min(task.local_margin(delta[d]) for task, _, d in self._slices)
 
     def point(self, value: PointLike) -> Point:
-        array = vector(value, self.size, f"a point of {self!r}")
+        name = f"a point of {self!r}"
+        array = vector(as_floats(value, name), self.size, name)
         return np.concatenate([task.point(array[p]) for task, p, _ in self._slices])
 
     def describe(self) -> dict[str, Any]:

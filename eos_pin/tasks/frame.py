@@ -6,17 +6,13 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 import pinocchio as pin
 
 from eos_pin._arrays import Jacobian, JointVector, TaskVector
 from eos_pin._kernels.dispatch import kernels
 from eos_pin.robot.model import Robot
+from eos_pin.tasks._flat import FLAT
 from eos_pin.tasks.base import WORLD, Point, Task, TaskPoint
-
-#: Where the entries of a flat pose, the position followed by the rotation matrix row by row, are in a flat homogeneous
-#: matrix.
-FLAT = np.array([3, 7, 11, 0, 1, 2, 4, 5, 6, 8, 9, 10])
 
 
 class FrameTask(Task):

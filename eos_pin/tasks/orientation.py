@@ -7,25 +7,13 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from eos_pin._arrays import (
-    Array,
-    Jacobian,
-    TaskVector,
-    Vector,
-    as_floats,
-    frozen_copy,
-    vector,
-)
-from eos_pin._kernels.dispatch import use_compiled
+from eos_pin._arrays import Jacobian, TaskVector
 from eos_pin._kernels.flat import Part
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
+from eos_pin.tasks._flat import checked_pose, flat_rotation, pose_difference
 from eos_pin.tasks.base import WORLD, Point, PointLike, Task
-from eos_pin.tasks.frame import FLAT, FrameTask
-
-_IDENTITY = frozen_copy(np.eye(3))
-#: How far RᵀR may be from 1 in a rotation that is taken as it is.
-ORTHONORMAL = 1e-14
+from eos_pin.tasks.frame import FrameTask
 
 
 class OrientationTask(FrameTask, kind="orientation"):
@@ -61,7 +49,7 @@ class OrientationTask(FrameTask, kind="orientation"):
         return 1.0 - math.sqrt(delta.dot(delta)) / math.pi
 
     def point(self, value: PointLike) -> Point:
-        return _rotation(value.rotation if isinstance(value, pin.SE3) else value, f"a point of {self!r}")
+        return flat_rotation(value.rotation if isinstance(value, pin.SE3) else value, f"a point of {self!r}")
 
 
 class PoseTask(FrameTask, kind="pose"):
@@ -97,19 +85,7 @@ class PoseTask(FrameTask, kind="pose"):
         return 1.0 - math.sqrt(delta[3:].dot(delta[3:])) / math.pi
 
     def point(self, value: PointLike) -> Point:
-        array = as_floats(value.homogeneous if isinstance(value, pin.SE3) else value, "a point of a PoseTask")
-        z = flat_pose(array)
-        return self._checked(array) if z is None else z
-
-    def _checked(self, array: Array) -> Point:
-        """Flat pose from one that has to be looked at more closely."""
-        name = f"a point of {self!r}"
-        if array.shape == (4, 4):
-            if array[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-                raise InputError(f"the last row of {name} must be 0, 0, 0, 1, got {array[3].tolist()}")
-            array = array.ravel()[FLAT]
-        z = vector(array, 12, f"{name}, a pin.SE3, a 4 × 4 matrix or a flat point,")
-        return np.concatenate((z[:3], _straight(z[3:], name)))
+        return checked_pose(value, f"a point of {self!r}")
 
 
 class HeadingTask(Task, kind="heading"):
@@ -148,51 +124,3 @@ class HeadingTask(Task, kind="heading"):
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return np.array([math.remainder(z1[0] - z0[0], math.tau)])
-
-
-@use_compiled
-def pose_difference(z1: Point, z0: Point) -> TaskVector:
-    """Difference of the positions of two flat poses, and the rotation vector from the second to the first."""
-    delta = (z1 - z0)[:6]
-    delta[3:] = pin.log3(z1[3:].reshape(3, 3).dot(z0[3:].reshape(3, 3).T))
-    return delta
-
-
-@use_compiled
-def flat_pose(array: Array) -> Point | None:
-    """Flat pose from one or from a homogeneous matrix; None if it is not right to rounding."""
-    if array.shape == (4, 4) and array[3].tolist() == [0.0, 0.0, 0.0, 1.0]:
-        array = array.ravel()[FLAT]
-    if array.shape != (12,) or not math.isfinite(array.dot(array)):
-        return None
-    R = array[3:].reshape(3, 3)
-    straight = np.abs(R.T.dot(R) - _IDENTITY).max() <= ORTHONORMAL and np.linalg.det(R) > 0.0
-    return array.copy() if straight else None
-
-
-def _rotation(value: PointLike, name: str) -> Vector:
-    """Flat rotation matrix from what a person writes.
-
-    Raises:
-        InputError: Not 9 numbers, or no rotation.
-    """
-    return _straight(vector(as_floats(value, f"the rotation of {name}").ravel(), 9, f"the rotation of {name}"), name)
-
-
-def _straight(flat: Vector, name: str) -> Vector:
-    """Flat rotation matrix whose digits were rounded, made orthonormal again.
-
-    Raises:
-        InputError: It is not orthonormal to 1e-6.
-    """
-    R = flat.reshape(3, 3)
-    E = R.T.dot(R) - _IDENTITY
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    largest = max(map(abs, E.ravel().tolist()))
-    if largest > 1e-6 or determinant < 0.0:
-        raise InputError(f"the rotation of {name} must be a 3 × 3 matrix with orthonormal columns and determinant 1")
-    if largest > ORTHONORMAL:
-        # R (RᵀR)^(−1/2), the nearest rotation, by its series to order E².
-        R = R - R.dot(0.5 * E - 0.375 * E.dot(E))
-    return R.ravel()

@@ -21,9 +21,10 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin.errors import InputError
+from eos_pin.tasks._flat import PointLike, checked_pose
 from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Target, Trajectory
-from eos_pin.trajectories.stacked import StackedTrajectory
+from eos_pin.trajectories.pose import PoseTrajectory
 from eos_pin.trajectories.waypoints import Waypoints, from_quaternions, read_waypoints
 
 #: Where the quaternions of a spline get as short as this between two rotations, it is no curve that anybody means.
@@ -226,28 +227,23 @@ def rotation_spline(
     return RotationSpline(curve, float(times[0]), float(times[-1]), closed)
 
 
-def pose_spline(
-    positions: Sequence[VectorLike] | Array,
-    rotations: Sequence[Array] | Array,
-    times: VectorLike,
-    *,
-    closed: bool | None = None,
-) -> StackedTrajectory:
+def pose_spline(poses: Sequence[PointLike] | Array, times: VectorLike, *, closed: bool | None = None) -> PoseTrajectory:
     """Smooth curve through poses at given times, for a `PoseTask`, twice continuously differentiable.
 
     Args:
-        positions: Positions [m], (K, 3), K ≥ 2.
-        rotations: Rotation matrices, (K, 3, 3).
+        poses: Poses, each a `pin.SE3`, a 4 × 4 matrix or a task point of a `PoseTask`; K ≥ 2 of them.
         times: Increasing times [s], (K,).
         closed: Whether it repeats; by default if its first and last pose are equal. An open one rests at its ends.
 
     Raises:
         InputError: Not poses, or their rotations too far apart.
     """
+    points = np.array([checked_pose(pose, f"pose {k}") for k, pose in enumerate(poses)]).reshape(-1, 12)
+    positions, rotations = points[:, :3], points[:, 3:]
     place, turn = cubic_spline(positions, times, closed=closed), rotation_spline(rotations, times, closed=closed)
     if place.closed != turn.closed:
         place, turn = cubic_spline(positions, times, closed=False), rotation_spline(rotations, times, closed=False)
-    return StackedTrajectory((place, turn))
+    return PoseTrajectory(place, turn)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,14 +14,13 @@ from eos_pin import (
     DampedNullSpace,
     EosController,
     FreeNullSpace,
-    Hold,
     InputError,
     OperationalSpaceController,
     PoseTask,
+    PoseTrajectory,
     PositionTask,
     PostureNullSpace,
     SingularError,
-    StackedTrajectory,
     TaskSpaceDynamics,
     figure_eight,
     simulate,
@@ -37,7 +36,7 @@ def example(name, kind, q, variant):
     if kind == "pose":
         task = PoseTask(robot, tip(robot))
         z = task.value(q)
-        reference = StackedTrajectory((figure_eight(z[:3], 0.1, plane="yz"), Hold(z[3:], 3)))
+        reference = PoseTrajectory(figure_eight(z[:3], 0.1, plane="yz"), pose=z)
     else:
         task = PositionTask(robot, tip(robot), kind)
         reference = figure_eight(task.value(q), 0.1)
@@ -107,8 +106,7 @@ def test_gravity_can_be_left_uncompensated(panda):
     q, dq = random_state(panda, seed=7)
     task = PositionTask(panda, tip(panda))
     full, bare = (
-        OperationalSpaceController(task, Hold(task.value(q)), DampedNullSpace(), gravity=gravity)
-        for gravity in (True, False)
+        OperationalSpaceController(task, task.hold(q), DampedNullSpace(), gravity=gravity) for gravity in (True, False)
     )
     difference = full.torque(0.0, q, dq, None) - bare.torque(0.0, q, dq, None)
     np.testing.assert_allclose(difference, panda.gravity(q), atol=1e-10)
@@ -117,7 +115,7 @@ def test_gravity_can_be_left_uncompensated(panda):
 def test_a_singular_task_is_refused(ur5):
     task = PoseTask(ur5, tip(ur5))
     straight = np.zeros(6)
-    controller = OperationalSpaceController(task, Hold(task.value(straight), 6))
+    controller = OperationalSpaceController(task, task.hold(straight))
     with pytest.raises(SingularError, match="the task is singular here"):
         controller.torque(0.0, straight, straight, None)
     with pytest.raises(SingularError):
@@ -127,7 +125,7 @@ def test_a_singular_task_is_refused(ur5):
 def test_a_posture_must_fit_the_robot(panda):
     task = PositionTask(panda, tip(panda))
     for posture in ([0.0], [0.0] * 6):
-        controller = OperationalSpaceController(task, Hold(task.value(REST)), PostureNullSpace(posture))
+        controller = OperationalSpaceController(task, task.hold(REST), PostureNullSpace(posture))
         with pytest.raises(InputError, match=f"the posture has {len(posture)} joints, 'panda' has 7"):
             controller.torque(0.0, REST, np.zeros(7), None)
 
@@ -148,7 +146,7 @@ def test_who_repeats_and_from_which_cycle_on(panda, unchecked, kind):
     z = task.value(REST)
     reference = figure_eight(z[:3], 0.2, period=2.0, plane="yz")
     if kind == "pose":
-        reference = StackedTrajectory((reference, Hold(z[3:], 3)))
+        reference = PoseTrajectory(reference, pose=z)
     # Start on the path, so that there is no transient of the task and the first cycle is a fair one.
     start = np.linalg.lstsq(task.linearize(REST)[1], reference(0.0).dz, rcond=None)[0]
 

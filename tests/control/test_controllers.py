@@ -24,11 +24,11 @@ from eos_pin import (
     InputError,
     OpenLoop,
     PoseTask,
+    PoseTrajectory,
     PositionTask,
     Posture,
     ReduceKineticEnergy,
     SingularError,
-    StackedTrajectory,
     StateError,
     Track,
     figure_eight,
@@ -45,7 +45,7 @@ def example(name):
     if kind == "pose":
         task = PoseTask(robot, tip(robot))
         z = task.value(q)
-        reference = StackedTrajectory((figure_eight(z[:3], 0.1, plane="yz"), Hold(z[3:], 3)))
+        reference = PoseTrajectory(figure_eight(z[:3], 0.1, plane="yz"), pose=z)
     else:
         task = PositionTask(robot, tip(robot), kind)
         reference = figure_eight(task.value(q), 0.1)
@@ -143,7 +143,7 @@ def test_a_law_of_ones_own_is_used(panda):
     tau = ControlLoop(controller).step(0.0, q, 0.0 * dq)
     ddq = panda.forward_dynamics(q, 0.0 * dq, tau)
     np.testing.assert_allclose(task.linearize(q)[1] @ ddq, 0.0, atol=1e-9)
-    assert EosController(task, Hold(task.value(q)), Damp()).start(0.0, q, dq).law is None
+    assert EosController(task, task.hold(q), Damp()).start(0.0, q, dq).law is None
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -180,7 +180,7 @@ def test_reference_and_atlas_must_fit_the_task(panda):
     task, pose = PositionTask(panda, tip(panda)), PoseTask(panda, tip(panda))
     with pytest.raises(InputError, match="the reference does not fit the task"):
         EosController(task, Hold((0.0, 0.0)))
-    with pytest.raises(InputError, match="12 velocities"):
+    with pytest.raises(InputError, match="12 velocity components"):
         EosController(pose, Hold(pose.value(np.zeros(7))))
     with pytest.raises(InputError, match="the controller's own task object"):
         EosController(task, Hold(np.zeros(3)), atlas=Atlas(pose))
@@ -189,7 +189,7 @@ def test_reference_and_atlas_must_fit_the_task(panda):
 def test_without_gravity_compensation(panda):
     task = PositionTask(panda, tip(panda))
     q, dq = random_state(panda, seed=7)
-    reference = Hold(task.value(q))
+    reference = task.hold(q)
     full, bare = (EosController(task, reference, gravity=gravity) for gravity in (True, False))
     difference = full.torque(0.0, q, dq, full.start(0.0, q, dq)) - bare.torque(0.0, q, dq, bare.start(0.0, q, dq))
     np.testing.assert_allclose(difference, panda.gravity(q), atol=1e-12)
@@ -269,7 +269,7 @@ def test_loop_refuses_an_unusable_state_and_goes_on(panda, unchecked, q, dq, mes
 def test_loop_refuses_a_singular_start(ur5):
     straight = np.zeros(6)
     task = PoseTask(ur5, tip(ur5))
-    loop = ControlLoop(EosController(task, Hold(task.value(straight), 6)))
+    loop = ControlLoop(EosController(task, task.hold(straight)))
     with pytest.raises(SingularError, match="the task is singular here") as caught:
         loop.step(0.0, straight, straight)
     assert caught.value.rank < 6
@@ -302,7 +302,7 @@ def test_loop_changes_charts_where_the_controller_would(ppr):
 def test_loop_runs_controllers_without_charts(panda, name):
     task = PositionTask(panda, tip(panda))
     q, dq = random_state(panda, seed=7)
-    controller = BASELINES[name](task, Hold(task.value(q)), q)
+    controller = BASELINES[name](task, task.hold(q), q)
     tau = ControlLoop(controller).step(0.0, q, dq)
     np.testing.assert_array_equal(tau, controller.torque(0.0, q, dq, None))
 

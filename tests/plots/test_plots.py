@@ -36,9 +36,8 @@ from eos_pin.plots._style import (
 )
 from eos_pin.plots.keyframes import is_spatial
 from eos_pin.plots.panels import has_depth
-from eos_pin.trajectories.base import Hold
 from eos_pin.trajectories.harmonic import Harmonic
-from eos_pin.trajectories.stacked import StackedTrajectory
+from eos_pin.trajectories.pose import PoseTrajectory
 
 PERIOD = math.tau
 
@@ -70,7 +69,7 @@ def pose_run(panda):
     q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
     task = PoseTask(panda, "panda_hand_tcp")
     z = task.value(q)
-    path = StackedTrajectory((figure_eight(z[:3], 0.1, period=1.0, plane="yz"), Hold(z[3:], 3)))
+    path = PoseTrajectory(figure_eight(z[:3], 0.1, period=1.0, plane="yz"), pose=z)
     return simulate(panda, EosController(task, path), q, duration=2.0, rtol=1e-5, record_rate=30.0)
 
 
@@ -117,7 +116,7 @@ class TestPages:
     def test_task_that_is_no_path(self, panda, tmp_path):
         q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
         task = OrientationTask(panda, "panda_hand_tcp")
-        controller = EosController(task, Hold(task.value(q), 3))
+        controller = EosController(task, task.hold(q))
         result = simulate(panda, controller, q, np.full(7, 0.2), duration=0.3, rtol=1e-5)
         figure = plots.overview(result, panda)
         assert figure.axes[0].get_ylabel() == "task point [rad]"

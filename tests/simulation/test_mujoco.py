@@ -17,15 +17,14 @@ from lxml import etree
 from eos_pin import (
     EosController,
     Friction,
-    Hold,
     InputError,
     MujocoPlant,
     OpenLoop,
     Payload,
     PoseTask,
+    PoseTrajectory,
     PositionTask,
     Robot,
-    StackedTrajectory,
     TaskForce,
     figure_eight,
     load_robot,
@@ -141,7 +140,7 @@ def control(robot, task_kind):
     task = (PositionTask if task_kind == "position" else PoseTask)(robot, tip(robot))
     z = task.value(REST)
     eight = figure_eight(z[:3], 0.15, period=4.0, plane="yz")
-    return EosController(task, eight if task.m == 3 else StackedTrajectory((eight, Hold(z[3:], 3))))
+    return EosController(task, eight if task.m == 3 else PoseTrajectory(eight, pose=z))
 
 
 @pytest.mark.parametrize("kind", ["position", "pose"])

@@ -19,15 +19,14 @@ from eos_pin import (
     Atlas,
     EosController,
     EosError,
-    Hold,
     InputError,
     OpenLoop,
     PoseTask,
+    PoseTrajectory,
     PositionTask,
     Result,
     ResultError,
     SensorNoise,
-    StackedTrajectory,
     TaskForce,
     figure_eight,
     load_robot,
@@ -46,7 +45,7 @@ def closed_loop(panda, kind="position"):
     z = task.value(REST)
     path = figure_eight(z[:3], 0.05, period=0.5)
     if kind == "pose":
-        path = StackedTrajectory((path, Hold(z[3:], 3)))
+        path = PoseTrajectory(path, pose=z)
     return task, EosController(task, path)
 
 

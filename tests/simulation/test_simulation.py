@@ -19,10 +19,10 @@ from eos_pin import (
     InputError,
     OpenLoop,
     PoseTask,
+    PoseTrajectory,
     PositionTask,
     SensorNoise,
     SingularError,
-    StackedTrajectory,
     Target,
     TaskForce,
     Track,
@@ -52,7 +52,7 @@ def eight(task, size=0.15, period=4.0):
     """A figure eight of the task from where panda rests, its orientation held."""
     z = task.value(REST)
     curve = figure_eight(z[:3], size, period=period, plane="yz")
-    return curve if task.m == 3 else StackedTrajectory((curve, Hold(z[3:], 3)))
+    return curve if task.m == 3 else PoseTrajectory(curve, pose=z)
 
 
 # -- the closed loop -----------------------------------------------------------------------------------------------
@@ -86,7 +86,7 @@ def test_errors_decay_as_they_are_designed_to(panda):
 def test_self_motion_goes_where_it_is_told_and_leaves_the_task_alone(panda):
     task = PositionTask(panda, tip(panda))
     v_d = line(np.zeros(4), (0.3, -0.2, 0.3, 0.2), period=2.0)
-    slow = simulate(panda, EosController(task, Hold(task.value(REST)), Track(v_d)), REST, duration=4.0)
+    slow = simulate(panda, EosController(task, task.hold(REST), Track(v_d)), REST, duration=4.0)
     late = slice(slow.settled_row, None)
     assert np.abs(slow.error).max() < 1e-8
     assert np.abs(slow.self_motion_error[late]).max() < 1e-6
@@ -278,7 +278,7 @@ def test_noise_is_reproducible_and_acts(panda):
     task = PositionTask(panda, tip(panda))
 
     def run(seed, noise):
-        controller = EosController(task, Hold(task.value(REST)))
+        controller = EosController(task, task.hold(REST))
         return simulate_sampled(panda, controller, REST, duration=0.2, noise=noise, seed=seed)
 
     noise = SensorNoise(q=1e-4, dq=1e-3)
@@ -348,7 +348,7 @@ def test_observer_is_called_with_every_sample(panda, drive):
     seen = []
     run = drive(
         panda,
-        EosController(task, Hold(task.value(REST))),
+        EosController(task, task.hold(REST)),
         REST,
         duration=0.1,
         observer=lambda t, q: seen.append((t, *q)),
@@ -459,7 +459,7 @@ def test_an_interrupted_run_is_kept(panda, drive):
         if t >= 0.2:
             raise KeyboardInterrupt
 
-    run = drive(panda, EosController(task, Hold(task.value(REST))), REST, duration=9.0, observer=observer)
+    run = drive(panda, EosController(task, task.hold(REST)), REST, duration=9.0, observer=observer)
     assert (run.status, run.message) == ("interrupted", "interrupted at t = 0.2 s")
     assert run.t[-1] == pytest.approx(0.2)
     assert run.residuals()["torque"] < 1e-12
@@ -478,7 +478,7 @@ def test_other_errors_of_a_users_code_are_not_swallowed(panda):
 def test_a_singular_start_is_refused(ur5, drive):
     task = PoseTask(ur5, tip(ur5))
     straight = np.zeros(6)
-    reference = Hold(task.value(straight), 6)
+    reference = task.hold(straight)
     for controller in (EosController(task, reference), BASELINES["task-space"](task, reference, straight)):
         with pytest.raises(SingularError, match="the task is singular here"):
             drive(ur5, controller, straight, duration=1.0)
@@ -545,7 +545,7 @@ def test_runs_keep_what_memory_holds(panda, monkeypatch):
 
 def test_robots_must_fit(panda, ppr):
     task, planar = PositionTask(panda, tip(panda)), PositionTask(ppr, "tip", "xy")
-    controller = EosController(task, Hold(task.value(REST)))
+    controller = EosController(task, task.hold(REST))
     idle = OpenLoop(lambda t: np.zeros(3))
     with pytest.raises(InputError, match="the controller is for 7 joints, the plant 'ppr' has 3"):
         simulate(ppr, controller, np.zeros(3), duration=1.0)
@@ -558,6 +558,6 @@ def test_robots_must_fit(panda, ppr):
 def test_runs_from_any_state(panda):
     q, dq = random_state(panda, seed=7)
     task = PositionTask(panda, tip(panda))
-    run = simulate(panda, EosController(task, Hold(task.value(q))), q.tolist(), dq.tolist(), duration=1)
+    run = simulate(panda, EosController(task, task.hold(q)), q.tolist(), dq.tolist(), duration=1)
     np.testing.assert_allclose(run.dq[0], dq, atol=1e-12)
     assert run.ok

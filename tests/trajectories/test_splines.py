@@ -15,13 +15,20 @@ TURNS = Rotation.from_rotvec(np.random.default_rng(3).normal(size=(4, 3)))
 PLACES = np.random.default_rng(4).normal(size=(4, 3))
 
 
+def poses_of(places, matrices):
+    """Poses in the three forms in which people have them."""
+    poses = [pin.SE3(matrix, place) for matrix, place in zip(matrices, places, strict=True)]
+    forms = [lambda pose: pose, lambda pose: pose.homogeneous, lambda pose: [*pose.translation, *pose.rotation.ravel()]]
+    return [forms[k % 3](pose) for k, pose in enumerate(poses)]
+
+
 @pytest.mark.parametrize("closed", [False, True])
 def test_pose_spline_has_the_derivatives_of_a_pose_task(panda, closed):
     task = PoseTask(panda, tip(panda))
     matrices, places = TURNS.as_matrix(), PLACES
     if closed:
         matrices, places = matrices[[0, 1, 2, 0]], places[[0, 1, 2, 0]]
-    path = pose_spline(places, matrices, TIMES)
+    path = pose_spline(poses_of(places, matrices), TIMES)
     for t in (0.1, 0.5, 1.1, 1.9, 2.4):
         before, here, after = (path(t + s) for s in (-STEP, 0.0, STEP))
         np.testing.assert_array_equal(task.point(here.z), here.z)
@@ -37,7 +44,7 @@ def test_pose_spline_has_the_derivatives_of_a_pose_task(panda, closed):
 
 
 def test_pose_spline_goes_through_its_poses_and_rests_at_its_ends():
-    path = pose_spline(PLACES, TURNS.as_matrix(), TIMES)
+    path = pose_spline(poses_of(PLACES, TURNS.as_matrix()), TIMES)
     for t, place, turn in zip(TIMES, PLACES, TURNS.as_matrix(), strict=True):
         np.testing.assert_allclose(path(t).z, [*place, *turn.ravel()], atol=1e-14)
     for t in (-1.0, 0.0, 2.5, 9.0):

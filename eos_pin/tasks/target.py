@@ -1,0 +1,99 @@
+"""The contract of trajectories: a target (z, dz, ddz) of a task for every time.
+
+Each trajectory is a value that is called with a time. Points are flat arrays as in `eos_pin.tasks`; dz and ddz have the
+task's dimension m. The families of trajectories are in `eos_pin.trajectories`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from eos_pin._arrays import JointVector, TaskVector, frozen_copy, number
+from eos_pin.errors import InputError
+from eos_pin.tasks._flat import Point, flat_point
+
+
+class Target(NamedTuple):
+    """What the task should be at one time.
+
+    Attributes:
+        z: Task point.
+        dz: Task velocity [m/s, rad/s].
+        ddz: Task acceleration [m/s², rad/s²].
+    """
+
+    z: Point
+    dz: TaskVector
+    ddz: TaskVector
+
+
+class JointTarget(NamedTuple):
+    """What the joints should be at one time.
+
+    Attributes:
+        q: Joints [rad or m].
+        dq: Their velocities.
+        ddq: Their accelerations.
+    """
+
+    q: JointVector
+    dq: JointVector
+    ddq: JointVector
+
+
+class Trajectory(ABC):
+    """A target for every time.
+
+    Attributes:
+        period: Time after which it repeats [s]; infinite if it does not.
+        duration: Time after which it rests [s]; infinite if it never does.
+        begin: Time until which it rests [s].
+        notes: What was chosen or changed when it was made from a file, in sentences for people.
+    """
+
+    period: float = math.inf
+    duration: float = math.inf
+    begin: float = 0.0
+    notes: tuple[str, ...] = ()
+
+    @abstractmethod
+    def __call__(self, t: float) -> Target:
+        """Target at time t [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hold(Trajectory):
+    """One point, at rest. `Task.hold` makes that of a task's value at given joints.
+
+    Attributes:
+        z: The point; given as a flat point, or as a `pin.SE3`, 4 × 4 matrix (a pose) or 3 × 3 matrix (a rotation).
+        m: Dimension of the task, where it is neither the length of z nor known from a matrix: 6 for a flat pose of
+            12 numbers, 3 for a flat rotation of 9.
+
+    Raises:
+        InputError: No point, or a matrix of another dimension than m.
+    """
+
+    z: Point
+    m: int | None = None
+    duration = 0.0
+
+    def __post_init__(self) -> None:
+        z, m = flat_point(self.z, "the point to hold")
+        if self.m is not None:
+            if self.m != int(number(self.m, "m, the dimension of the task,", at_least=0.0)):
+                raise InputError(f"m, the dimension of the task, must be a whole number, got {self.m!r}")
+            if m not in (None, self.m):
+                raise InputError(f"the point to hold is a matrix for a task of dimension {m}, got m={self.m}")
+        object.__setattr__(self, "z", frozen_copy(z))
+        object.__setattr__(self, "m", m if self.m is None else int(self.m))
+        rest = frozen_copy(np.zeros(z.size if self.m is None else self.m))
+        object.__setattr__(self, "_target", Target(self.z, rest, rest))
+
+    def __call__(self, t: float) -> Target:
+        return self._target  # type: ignore[attr-defined]
