@@ -30,7 +30,7 @@ DRAWN = ("eight", "circle", "line")
 
 
 def _is_sampled(s: Settings) -> bool:
-    return s["rate"] is not None or s["plant"] == "mujoco"
+    return s["control_rate"] is not None or s["plant"] == "mujoco"
 
 
 def _is_random(s: Settings) -> bool:

@@ -135,7 +135,7 @@ def test_a_sweep_started_from_python_does_not_keep_an_interrupted_run(tmp_path: 
             return eos_pin.simulate(robot, controller, q, duration=1.0, observer=stop)
 
     with pytest.raises(KeyboardInterrupt, match="interrupted at t"):
-        sweeps.sweep([Interrupted.of("ppr")], folder=tmp_path)
+        sweeps.sweep([Interrupted.from_settings("ppr")], folder=tmp_path)
     assert not list(tmp_path.iterdir())
 
 

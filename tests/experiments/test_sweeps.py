@@ -141,7 +141,7 @@ def test_another_file_or_kind_of_trial_has_another_key(tmp_path):
     first = Trial.from_settings(str(urdf)).key
     urdf.write_text("<robot name='b'/>")
     assert Trial.from_settings(str(urdf)).key != first
-    assert Noted.of("ppr").key != Trial.from_settings("ppr").key
+    assert Noted.from_settings("ppr").key != Trial.from_settings("ppr").key
 
 
 # -- sweeps --------------------------------------------------------------------------------------------------------
@@ -211,7 +211,7 @@ def test_a_process_that_dies_ends_the_sweep_with_advice(tmp_path):
 @pytest.mark.slow
 def test_killed_half_way_no_finished_run_is_computed_twice(tmp_path):
     code = (
-        f"import sys, pathlib; sys.path.insert(0, {str(Path(__file__).parents[1])!r})\n"
+        f"import sys, pathlib; sys.path[:0] = {[str(Path(__file__).parent), str(Path(__file__).parents[1])]!r}\n"
         "from test_sweeps import noted, sweep\n"
         "here = pathlib.Path(sys.argv[1])\n"
         "sweep(noted(here, count=8, fate='slow'), folder=here / 'kept', jobs=2)"

@@ -278,7 +278,7 @@ def test_following_keeps_the_task_and_ends_where_the_robot_does(panda, hand):
 
 def test_a_law_that_makes_no_sense_is_refused(panda, hand):
     clearance = far_away(panda)
-    for wrong in ({"margin": 0.0}, {"room": -1.0}, {"damping": 0.0}, {"longest": math.nan}, {"pull": -1.0}):
+    for wrong in ({"influence_distance": 0.0}, {"room": -1.0}, {"damping": 0.0}, {"longest": math.nan}, {"pull": -1.0}):
         with pytest.raises(InputError, match=next(iter(wrong))):
             Avoidance(clearance, **wrong)
     with pytest.raises(InputError, match="posture"):

@@ -84,7 +84,7 @@ def test_missing_half_of_all_periods_is_like_a_longer_period(panda, task):
         run = simulate_sampled(panda, EosController(task, eight(task)), REST, duration=2.0, **options)
         return np.abs(run.error[run.settled_row :]).max()
 
-    assert error() < error(dropout=0.5) < error(period=4e-3)
+    assert error() < error(dropout=0.5) < error(control_period=4e-3)
 
 
 @pytest.mark.parametrize("dropout", [-0.1, 1.0, np.nan])

@@ -333,7 +333,7 @@ def test_torque_limits_are_kept(panda, ppr):
 def test_samples_contain_the_exact_multiples_of_the_period(panda, drive):
     task = PositionTask(panda, tip(panda))
     period = math.sqrt(0.05)
-    run = drive(panda, EosController(task, eight(task, 0.02, period)), REST, duration=1.0, rate=30.0)
+    run = drive(panda, EosController(task, eight(task, 0.02, period)), REST, duration=1.0, record_rate=30.0)
     assert run.cycles == 4
     np.testing.assert_allclose(run.t[run.cycle_rows], period * np.arange(5), rtol=0.0, atol=1e-15)
     assert run.t[0] == 0.0
@@ -499,7 +499,7 @@ def test_a_singular_start_is_refused(ur5, drive):
         (simulate, {"q": [0.0] * 6}, "q at the start must be 7 numbers"),
         (simulate, {"q": [math.nan] * 7}, "q at the start must be finite"),
         (simulate, {"dq": [0.0] * 8}, "dq at the start must be 7 numbers"),
-        (simulate_sampled, {"period": 0.0}, "the control period must be a finite number above 0"),
+        (simulate_sampled, {"control_period": 0.0}, "the control period must be a finite number above 0"),
         (simulate_sampled, {"delay": -1e-3}, "the delay must be a finite number of at least 0"),
         (simulate_sampled, {"substeps": 0}, "substeps must be a whole number of at least 1"),
         (simulate_sampled, {"substeps": 1.5}, "substeps must be a whole number of at least 1"),
@@ -509,7 +509,7 @@ def test_a_singular_start_is_refused(ur5, drive):
         (simulate, {"duration": 1e12}, "up to 1,000,000 are possible. Make it shorter, or keep fewer"),
         (simulate, {"record_rate": 1e9}, "up to 1,000,000 are possible"),
         (simulate_sampled, {"duration": 1e12, "record_rate": 1e-9}, "more than 100,000,000 steps"),
-        (simulate_sampled, {"period": 1e-12}, "more than 100,000,000 steps"),
+        (simulate_sampled, {"control_period": 1e-12}, "more than 100,000,000 steps"),
         (simulate_sampled, {"delay": 1e9}, "more than 100,000,000 steps"),
     ],
 )

@@ -100,11 +100,11 @@ def test_coordinates_of_a_rotation_wear_out(panda):
 def test_right_hand_sides_are_pure(panda, kind):
     joint, y, extended, x = systems(TASKS[kind](panda))
     for system, state in ((joint, y), (extended, x)):
-        first, state = system.rhs(0.1, state), system.state
+        first, memory = system.rhs(0.1, state), system.state
         for s in (1e-3, -1e-2):
             system.rhs(0.2, state + s)
         np.testing.assert_array_equal(system.rhs(0.1, state), first)
-        assert system.state is state
+        assert system.state is memory
 
 
 @pytest.mark.parametrize("kind", TASKS)
@@ -116,7 +116,7 @@ def test_a_switch_keeps_the_state_of_the_robot(panda, kind):
     np.testing.assert_allclose(extended.joints(switched), (q, dq), atol=1e-10)
     np.testing.assert_allclose(extended.chart.v(q), old.v(q), atol=1e-12)
     assert switched[-1] == x[-1]
-    assert extended.margin(0.0, switched) == pytest.approx(1.0 - extended.atlas.threshold)
+    assert extended.switch_function(0.0, switched) == pytest.approx(1.0 - extended.atlas.threshold)
 
 
 def test_task_force_does_the_work_of_the_task(panda):
@@ -135,6 +135,6 @@ def test_a_controllers_chart_is_not_that_of_the_coordinates(panda):
     controller = EosController(task, Hold(task.value(q)))
     system = ExtendedSystem(panda, controller, None, Atlas(task))
     x = system.begin(q, dq)
-    state = system.state
+    memory = system.state
     system.switch(0.0, x)
-    assert system.state is state
+    assert system.state is memory
