@@ -28,7 +28,6 @@ from eos_pin import (
     Robot,
     StateError,
     Track,
-    control_torques,
     load_robot,
     simulate,
     simulate_extended,
@@ -142,11 +141,10 @@ def test_takers_of_joints_give_the_same_for_wrapped_joints(
         ]
         for controller in controllers:
             state = controller.start(0.0, base, dq)
-            first = control_torques(controller, 0.0, [q, q], [dq, dq], state=state)
-            same(control_torques(controller, 0.0, [off, q], [dq, dq], state=state), first, 1e-8)
-            same(controller.torque(0.0, off, dq, state), first[0], 1e-8)
+            same(controller.torque(0.0, off, dq, state), controller.torque(0.0, q, dq, state), 1e-8)
             same(controller.step(0.0, off, dq, state)[0], controller.step(0.0, q, dq, state)[0], 1e-8)
-            same(control_torques(controller, 0.0, [off], [dq]), control_torques(controller, 0.0, [q], [dq]), 1e-8)
+            taus = [controller.torque(0.0, at, dq, controller.start(0.0, at, dq)) for at in (off, q)]
+            same(taus[0], taus[1], 1e-8)
     same(Posture(posture_off).acceleration(0.0, q, dq, chart), Posture(posture).acceleration(0.0, q, dq, chart))
     # Obstacles are far; only the posture pulls.
     free = SimpleNamespace(robot=swivel, closest_pairs=lambda t, q, within: [])
