@@ -48,6 +48,8 @@ from .planning import Avoidance as Avoidance
 from .planning import Clearance as Clearance
 from .planning import ClosestPair as ClosestPair
 from .planning import Obstacle as Obstacle
+from .planning import SelfMotionManifold as SelfMotionManifold
+from .planning import self_motion_manifold as self_motion_manifold
 from .robot import Joint as Joint
 from .robot import Payload as Payload
 from .robot import Robot as Robot

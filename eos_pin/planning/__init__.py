@@ -1,4 +1,4 @@
-"""Plans in (z, v): clearance from obstacles and self-motion that avoids them."""
+"""Self-motion manifolds, plans, clearance from obstacles and self-motion that avoids them."""
 
 import lazy_loader
 

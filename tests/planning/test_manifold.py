@@ -174,7 +174,7 @@ def test_open_component_ends_at_singularities(arm):
 def test_posture_is_found_where_limits_leave_a_small_arc(pose, panda, width):
     for q in poses(pose, 3, seed=7):
         limits = q - width, q + width
-        manifold = self_motion_manifold(pose, pose.value(q), limits=limits)
+        manifold = self_motion_manifold(pose, pose.value(q), limits=limits, seeds=20, tries=60)
         assert not manifold.empty
         assert within(manifold.random(5), *limits)
         assert np.abs(manifold.nearest(q) - q).max() <= min(width, 1e-5)
@@ -183,7 +183,7 @@ def test_posture_is_found_where_limits_leave_a_small_arc(pose, panda, width):
 def test_arcs_avoid_collision(pose):
     q = poses(pose, 1, seed=1)[0]
     z = pose.value(q)
-    free = self_motion_manifold(pose, z)
+    free = self_motion_manifold(pose, z, seeds=20, tries=60)
 
     def elbow(x):
         return pose.robot.placement(x, "panda_link4").translation[0]
@@ -193,7 +193,7 @@ def test_arcs_avoid_collision(pose):
     def elbow_low(x):
         return elbow(x) < middle
 
-    clear = self_motion_manifold(pose, z, collision=elbow_low)
+    clear = self_motion_manifold(pose, z, collision=elbow_low, seeds=20, tries=60)
     assert 0.0 < sum(arc.length for arc in clear.arcs) < sum(arc.length for arc in free.arcs)
     assert not any(elbow_low(x) for x in clear.random(200))
     assert any("collision" in arc.causes for arc in clear.arcs)
@@ -204,7 +204,7 @@ def test_arcs_avoid_collision(pose):
 
 
 def test_best_posture_is_best(pose):
-    manifold = self_motion_manifold(pose, pose.value(poses(pose, 1, seed=2)[0]))
+    manifold = self_motion_manifold(pose, pose.value(poses(pose, 1, seed=2)[0]), seeds=20, tries=60)
 
     def criterion(x):
         return float(np.sum(x * x))
