@@ -33,7 +33,7 @@ from eos_pin.tasks.base import Point, Task, TaskPoint
 #: Up to this many joints one n × n solve is cheaper than the m × m form with its extra products.
 DENSE_SOLVE = 16
 #: A chart ends where a continuous joint has turned this far from its base, before the other side of the circle [rad].
-TURN = 3.0
+TURN = 2.8
 EDGE = "G'U is singular: this configuration is on the edge of the chart; make a chart at it"
 
 
