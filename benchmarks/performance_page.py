@@ -43,8 +43,8 @@ _LIMITS = """## What the figures do not say
 - *Inverse kinematics.* Peers take full steps from the rest posture, without limits and posture task: their fastest
   way. eos_pin holds the self-motion coordinates too, so that the solution is determined. To random targets
   `Atlas.follow` walks along the straight line of the task, so that the solution is connected to the start; that takes
-  longer, and the line can end at a singularity. `Atlas.reach` then makes detours and jumps, to joints within their
-  limits. So were the rows that say so; some of the other peers could be asked, too.
+  longer, and the line can end at a singularity. `Atlas.solve` then goes via other points and searches, for joints
+  within their limits. So were the rows that say so; some of the other peers could be asked, too.
 - *Versions.* TSID is the last one that comes as a whole from PyPI, with the Pinocchio it was built with. The newer
   ones there are bindings whose library has to be built from source, against another Pinocchio than theirs.
 - *What is measured elsewhere.* `benchmarks/chains.py` (up to 1,000 joints), `benchmarks/sweep.py` (many runs on one

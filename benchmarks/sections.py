@@ -29,8 +29,8 @@ WORDS = {
     "along:traditional": "traditional control with posture",
     "inverse:": "steps of one",
     "inverse:atlas": "chart after chart",
-    "inverse:reach": "walk, detour or jump",
-    "inverse:jump": "jump",
+    "inverse:solve": "continuation, via points or search",
+    "inverse:search": "search",
     "inverse:chart": "one chart",
     "inverse:chart, constant B": "one chart, constant B",
     "inverse:damped": "its example, damped",
@@ -194,7 +194,7 @@ def random_targets(team: Crew, settings: Sequence[Setting], effort: Effort) -> S
             # What a user pays for one solution that the robot can take up.
             each = float(np.sum(times)) / within if within else float("inf")
             found.append((key, share, inside, float(np.median(times)), float(np.mean(times)), each))
-        own = next(row[-1] for row in found if row[0] == ("eos_pin", "inverse:jump"))
+        own = next(row[-1] for row in found if row[0] == ("eos_pin", "inverse:search"))
         found.sort(key=lambda row: row[-1])
         rows += [(setting.name, key[0], WORDS[key[1]], *values, values[-1] / own) for key, *values in found]
     return Section(
@@ -211,9 +211,9 @@ def random_targets(team: Crew, settings: Sequence[Setting], effort: Effort) -> S
             "× eos_pin",
         ),
         rows,
-        "In limits: of the solutions found; eos_pin's reach and jump and the rows that say so were asked to keep them. "
-        "A solution in limits costs the time of all targets, failures included, divided by the number of solutions in "
-        "limits; it is compared with that of the jump.",
+        "In limits: of the solutions found; eos_pin's solve and search and the rows that say so were asked to keep "
+        "them. A solution in limits costs the time of all targets, failures included, divided by the number of "
+        "solutions in limits; it is compared with that of the search.",
         figures,
     )
 

@@ -23,7 +23,6 @@ _RENAMED = {
     "simulate_eos": "simulate_extended",
     "task_from": "task_from_description",
     "control_torques": "a loop over controller.torque",
-    "inverse_kinematics": "Chart.inverse for one point, Atlas.follow for a path",
     "pseudoinverse": "numpy.linalg.pinv",
     "angles": "eos_pin.robot",
     "animation": "eos_pin.paper",

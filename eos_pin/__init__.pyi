@@ -8,6 +8,7 @@ from .charts import IkSolution as IkSolution
 from .charts import Inverse as Inverse
 from .charts import JointPath as JointPath
 from .charts import TaskSpaceDynamics as TaskSpaceDynamics
+from .charts import inverse_kinematics as inverse_kinematics
 from .control import BASELINES as BASELINES
 from .control import Controller as Controller
 from .control import ControlLoop as ControlLoop

@@ -7,7 +7,11 @@ given, what is allowed and what to do; the data a program needs to react is kept
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping, Sequence
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NoReturn, TypeVar, cast
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 class EosError(Exception):
@@ -113,6 +117,55 @@ class OutputError(EosError):
 
 class ViewerError(EosError):
     """The viewer cannot show what was asked."""
+
+
+class OldNameError(InputError, AttributeError):
+    """A name of an earlier version was used; the message has the new one."""
+
+
+class Renamed:
+    """Class attribute in the place of an old name: using it raises an error that has the new name.
+
+    Args:
+        new: The new name.
+    """
+
+    def __init__(self, new: str) -> None:
+        self.new = new
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.old = f"{owner.__name__}.{name}"
+
+    def __get__(self, instance: object, owner: type | None = None) -> NoReturn:
+        raise OldNameError(f"{self.old} was renamed: use {self.new}")
+
+    def __set__(self, instance: object, value: object) -> NoReturn:
+        raise OldNameError(f"{self.old} was renamed: use {self.new}")
+
+
+def renamed(**names: str) -> Callable[[F], F]:
+    """Decorator of a function or class some of whose keyword arguments were renamed: an old one raises an error.
+
+    Args:
+        names: The new name of each old one.
+    """
+
+    def decorate(target: F) -> F:
+        thing: Any = target
+        function = thing.__init__ if isinstance(thing, type) else thing
+
+        @functools.wraps(function)
+        def checked(*args: Any, **kwargs: Any) -> Any:
+            for old in names.keys() & kwargs.keys():
+                raise OldNameError(f"the argument {old!r} of {thing.__name__} was renamed: use {names[old]!r}")
+            return function(*args, **kwargs)
+
+        if not isinstance(thing, type):
+            return cast("F", checked)
+        thing.__init__ = checked  # type: ignore[misc]
+        return target
+
+    return decorate
 
 
 def suggest(name: str, available: Sequence[str], most: int = 40) -> str:

@@ -31,8 +31,8 @@ print(f"{len(joints.q)} points on {len(joints.charts)} charts; the joints close 
 assert joints.complete
 assert gap < 1e-9
 
-# Any point within reach, near or far: by a walk through charts, by a detour, or by a jump.
-far = Atlas(task).reach(q, [-0.4, 0.3, 0.5])
-print(f"a point behind the robot: by a {far.way}, error {far.residual:.1e} m, within limits: {far.within_limits}")
+# Any point within reach, near or far: by continuation through charts, or by a search.
+far = Atlas(task).solve(q, [-0.4, 0.3, 0.5])
+print(f"a point behind the robot: by {far.strategy}, error {far.residual:.1e} m, within limits: {far.within_limits}")
 assert far.found
 assert far.within_limits

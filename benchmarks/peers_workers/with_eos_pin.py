@@ -24,7 +24,7 @@ from eos_pin import (
     figure_eight,
     load_robot,
 )
-from eos_pin.charts.atlas import Strategy
+from eos_pin.charts.solutions import Strategy
 
 
 def build(problem: Problem) -> Mapping[str, Call]:
@@ -81,11 +81,11 @@ def build(problem: Problem) -> Mapping[str, Call]:
             return start
         return found.q[-1] if found.complete else start
 
-    def reach(ways: Sequence[Strategy] | None = None) -> Call:
+    def solver(strategies: Sequence[Strategy] | None = None) -> Call:
         def solve(given: np.ndarray) -> np.ndarray:
             start, target = problem.split(given)
             z = target if problem.whole else target[:3, 3]
-            return atlas.reach(start, z, chart=chart, ways=ways, tol=problem.tol).q
+            return atlas.solve(start, z, chart=chart, strategies=strategies, tol=problem.tol).q
 
         return solve
 
@@ -95,8 +95,8 @@ def build(problem: Problem) -> Mapping[str, Call]:
         "inverse:chart": inverse(True),
         "inverse:chart, constant B": inverse(False),
         "inverse:atlas": follow,
-        "inverse:reach": reach(),
-        "inverse:jump": reach(["jump"]),
+        "inverse:solve": solver(),
+        "inverse:search": solver(["search"]),
     }
 
 

@@ -1,18 +1,17 @@
 """`Atlas`: chart after chart along a motion.
 
-No single chart covers the configurations of a robot. The atlas says when a chart is left, makes the next one so that
-v continues, Eq. (27), and carries chart-based inverse kinematics along a path, Sec. 3.3.
+No single chart covers the configurations of a robot. The atlas decides when a chart is left, makes the next one so that
+v continues, Eq. (27), and carries chart-based inverse kinematics along a path, Sec. 3.3, and to single points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from eos_pin._arrays import (
     Array,
@@ -25,84 +24,19 @@ from eos_pin._arrays import (
     number,
     vector,
 )
-from eos_pin.charts._newton import Inverse, Postures, walk
+from eos_pin.charts._newton import Inverse, walk
 from eos_pin.charts.chart import Chart
-from eos_pin.errors import InputError, InverseError, SingularError
+from eos_pin.charts.search import Search
+from eos_pin.charts.solutions import STRATEGIES, IkSolution, JointPath, Strategy
+from eos_pin.errors import InputError, InverseError, Renamed
 from eos_pin.robot.postures import JointsLike
 from eos_pin.tasks.base import Point, PointLike, Task
 
 #: Self-motion commanded along a path: constant, one row per point, or a function of the point's number.
 SelfMotionPath: TypeAlias = "VectorLike | Callable[[int], VectorLike]"
 
-#: How joints are reached: along the straight line in (z, v), by way of another point, or without a way there.
-Strategy: TypeAlias = Literal["walk", "detour", "jump"]
-STRATEGIES: tuple[Strategy, ...] = ("walk", "detour", "jump")
-#: Detours that are tried.
-DETOURS = 4
 
-
-@dataclass(frozen=True)
-class JointPath:
-    """Joints along a task path, found by `Atlas.follow`.
-
-    Attributes:
-        q: Joints of each point, (K, n).
-        z: Task points that were asked for, (K, size).
-        v: Self-motion coordinates of each point, (K, r).
-        chart: Number of the chart that each point was found on, (K,).
-        charts: The charts that were used.
-        residual: Largest task error over all points [m, rad].
-        iterations: Newton steps taken in all.
-        message: Why the path ends before its last point; empty where it does not.
-    """
-
-    q: Float[Array, "K n"]
-    z: Float[Array, "K size"]
-    v: Float[Array, "K r"]
-    chart: Int[Array, " K"]
-    charts: tuple[Chart, ...]
-    residual: float
-    iterations: int
-    message: str = ""
-
-    @property
-    def complete(self) -> bool:
-        """Whether all points asked for were reached."""
-        return not self.message
-
-
-@dataclass(frozen=True)
-class IkSolution:
-    """Joints at a task point, found by `Atlas.reach`.
-
-    Attributes:
-        q: Joints; where none were found, the nearest ones.
-        way: How they are reached: `"walk"` and `"detour"` are continuous motions through charts, on which v keeps its
-            meaning; after a `"jump"` only the joints are known, and v starts anew with a chart based at them.
-        path: The motion from the start to q; None after a jump, and from a singular start.
-        residual: Task error that is left [m, rad].
-        within_limits: Whether q is within the joint limits.
-        message: Why no joints were found; empty where they were.
-    """
-
-    q: JointVector
-    way: Strategy
-    path: JointPath | None
-    residual: float
-    within_limits: bool
-    message: str = ""
-
-    @property
-    def found(self) -> bool:
-        """Whether q is at the task point."""
-        return not self.message
-
-    def merit(self, tol: float) -> tuple[bool, bool, float]:
-        """What makes one result better than another: found first, then limits, then the error left beyond `tol`."""
-        return self.found, self.within_limits, -max(self.residual, tol)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Atlas:
     """The charts of one task, and the rule by which they follow each other.
 
@@ -141,7 +75,7 @@ class Atlas:
     def follow(
         self,
         q: JointsLike,
-        path: Iterable[VectorLike] | Float[Array, "K size"],
+        path: Iterable[PointLike] | Float[Array, "K size"],
         *,
         v: SelfMotionPath | None = None,
         chart: Chart | None = None,
@@ -154,7 +88,7 @@ class Atlas:
 
         Args:
             q: Joints to start from; need not be on the path.
-            path: Task points, (K, size).
+            path: Task points, (K, size), or each in any form that `Task.point` takes, such as a `pin.SE3` for a pose.
             v: Self-motion coordinates along the path: constant, (K, r), or a function of the point's number. By default
                 v keeps its value at q. It is zero at the base of the first chart and continues from chart to chart.
             chart: First chart; by default the one based at q.
@@ -167,11 +101,7 @@ class Atlas:
             SingularError: The task is singular at q.
             InputError: Wrong shapes.
         """
-        points = np.atleast_2d(as_floats(path if isinstance(path, np.ndarray) else list(path), "a path"))
-        if points.ndim != 2 or points.shape[1] != self.task.size or not np.isfinite(points).all():
-            raise InputError(
-                f"a path of {self.task!r} must be finite and of shape (K, {self.task.size}), got {points.shape}"
-            )
+        points = self._points(path)
         chart = chart or self.start(q)
         traveller = _Traveller(self, chart, chart.task.robot.posture(q), tol)
         v_of = _self_motion(v, traveller.v, len(points))
@@ -197,14 +127,29 @@ class Atlas:
             message=message,
         )
 
-    def reach(
+    def _points(self, path: Iterable[PointLike] | Float[Array, "K size"]) -> Float[Array, "K size"]:
+        """Task points of a path as rows."""
+        size = self.task.size
+        # An array of rows is how inner code has them; other forms are looked at one by one.
+        if isinstance(path, np.ndarray) and path.ndim < 3:
+            points = np.atleast_2d(as_floats(path, "a path"))
+        else:
+            try:
+                points = np.array([self.task.point(z) for z in path]).reshape(-1, size)
+            except TypeError as error:
+                raise InputError(f"a path is a sequence of task points, got {path!r}; for one use solve") from error
+        if points.shape[1] != size or not np.isfinite(points).all():
+            raise InputError(f"a path of {self.task!r} must be finite and of shape (K, {size}), got {points.shape}")
+        return points
+
+    def solve(
         self,
         q: JointsLike,
         z: PointLike,
         *,
         v: VectorLike | None = None,
         chart: Chart | None = None,
-        ways: Sequence[Strategy] | None = None,
+        strategies: Sequence[Strategy] | None = None,
         points: int = 1,
         tries: int = 100,
         seed: int = 0,
@@ -212,110 +157,52 @@ class Atlas:
     ) -> IkSolution:
         """Joints at one task point, near or far.
 
-        First the straight line in (z, v) is walked, as `follow` does. Where a singularity or the edge of the robot's
-        reach is on it, detours lead through the task points of other postures. Where these fail too, or the joints end
-        beyond their limits, a search jumps to joints within them, from q and then from other postures. Joints beyond
-        their limits are the last resort, those that a motion leads to before others.
+        Continuation along the straight line in (z, v) comes first, as `follow` does it. Where a singularity or the edge
+        of the robot's reach is on that line, continuation goes via the task points of other postures. Where this fails
+        too, or the joints end beyond their limits, a search looks for joints within them, from q and then from other
+        postures. Joints beyond their limits are the last resort, those that a motion leads to before others.
 
         Args:
             q: Joints to start from.
-            z: Task point, in any form that `Task.point` takes.
-            v: Self-motion coordinates there; by default their value at q. A jump cannot keep them.
+            z: Task point, in any form that `Task.point` takes, such as a `pin.SE3` for a pose.
+            v: Self-motion coordinates there; by default their value at q. A search cannot keep them.
             chart: First chart; by default the one based at q, where v is 0.
-            ways: What is tried. By default all, but no jump where v is given; `["walk"]` finds only what is connected
-                along the straight line, `["jump"]` anything, and is quickest.
+            strategies: Methods to try. By default all, but no search where v is given; `["continuation"]` finds only
+                joints that are connected along the straight line, `["search"]` any joints, and is quickest.
             points: Points of the path that is returned, on each of its straight lines.
-            tries: Other postures to jump from.
-            seed: Which these are, and those that detours lead through; the same seed, the same joints.
+            tries: Other postures to search from.
+            seed: Seed of these postures, and of those that continuation goes via; the same seed gives the same joints.
             tol: Largest task error that may be left [m, rad].
 
         Raises:
-            InputError: Wrong shapes, or a way there is not.
+            InputError: Wrong shapes, or an unknown strategy.
         """
         q, z = self.task.robot.posture(q), self.task.point(z)
-        if ways is None:
-            ways = STRATEGIES if v is None else STRATEGIES[:2]
-        if not ways or not set(ways) <= set(STRATEGIES):
-            raise InputError(f"ways must be some of {', '.join(STRATEGIES)}, got {ways!r}")
+        if strategies is None:
+            strategies = STRATEGIES if v is None else STRATEGIES[:2]
+        if not strategies or not set(strategies) <= set(STRATEGIES):
+            raise InputError(f"strategies must be some of {', '.join(STRATEGIES)}, got {strategies!r}")
         v = None if v is None else vector(v, q.size - self.task.m, "v")
         if points < 1 or tries < 0:
             raise InputError(f"points must be at least 1 and tries at least 0, got {points} and {tries}")
-        best: IkSolution | None = None
-        for attempt in self._attempts(q, z, ways, tries, seed, tol, v=v, chart=chart, points=points):
-            if best is None or attempt.merit(tol) > best.merit(tol):
-                best = attempt
-            if best.found and best.within_limits:
-                break
-        assert best is not None
-        return best
+        return Search(self.task, self.follow, q, z, v, chart, points, tries, seed, tol).best(strategies)
 
-    def _attempts(
-        self, q: JointVector, z: Point, ways: Sequence[Strategy], tries: int, seed: int, tol: float, **motion: Any
-    ) -> Iterator[IkSolution]:
-        """What `reach` tries, one after the other."""
-        robot, moved = self.task.robot, False
-        if "walk" in ways:
-            yield (attempt := self._walk("walk", q, [z], tol, **motion))
-            moved = attempt.found
-        if "detour" in ways:
-            for posture in Postures(robot, seed, DETOURS)(DETOURS):
-                if moved:
-                    break
-                yield (attempt := self._walk("detour", q, [self.task.value(posture), z], tol, **motion))
-                moved = attempt.found
-        if "jump" in ways:
-            anything = np.full(robot.n, np.inf)
-            for bounds in ((robot.lower, robot.upper), (-anything, anything)):
-                yield self._jump(q, z, bounds, tries, seed, tol)
-                if moved:
-                    break
+    reach = Renamed("solve")
 
-    def _walk(
-        self,
-        way: Strategy,
-        q: JointVector,
-        corners: Sequence[Point],
-        tol: float,
-        *,
-        v: SelfMotionVector | None,
-        chart: Chart | None,
-        points: int,
-    ) -> IkSolution:
-        """Follow straight lines from q through the corners."""
-        task, z0 = self.task, self.task.value(q)
-        path = [z0] + [
-            task.plus(a, s * task.minus(b, a)) if s < 1.0 else b
-            for a, b in pairwise([z0, *corners])
-            for s in np.arange(1, points + 1) / points
-        ]
-        try:
-            chart = chart or self.start(q)
-            v0 = chart.v(q)
-            ways = v0 if v is None else v0 + np.linspace(0.0, 1.0, len(path))[:, None] * (v - v0)
-            found = self.follow(q, path, v=ways, chart=chart, tol=tol)
-        except SingularError as error:
-            return self._reached(q, way, None, corners[-1], str(error))
-        return self._reached(found.q[-1] if len(found.q) else q, way, found, corners[-1], found.message)
 
-    def _jump(
-        self, q: JointVector, z: Point, bounds: tuple[JointVector, JointVector], tries: int, seed: int, tol: float
-    ) -> IkSolution:
-        """Search from q, then from one posture after the other."""
-        robot = self.task.robot
-        found, residual = self.task.kinematics.search(q, z, bounds, Postures(robot, seed, tries), tol=tol)
-        message = ""
-        if residual > tol:
-            message = f"no posture that was tried leads there: it is out of reach, by {residual:.3g} or less"
-        reached = self._reached(robot.unwrap(found, q), "jump", None, z, message)
-        if not message:
-            self.task.kinematics.confirm(reached.residual, tol)
-        return reached
+def inverse_kinematics(task: Task, z: PointLike, q0: JointsLike, **options: Any) -> IkSolution:
+    """Joints at one task point; `Atlas(task).solve(q0, z)` under the name that it has elsewhere.
 
-    def _reached(self, q: JointVector, way: Strategy, path: JointPath | None, z: Point, message: str) -> IkSolution:
-        robot = self.task.robot
-        residual = float(np.abs(self.task.minus(self.task.value(q), z)).max())
-        within = bool(((q >= robot.lower) & (q <= robot.upper)).all())
-        return IkSolution(frozen_copy(q), way, path, residual, within, message)
+    Args:
+        task: The task, such as `PoseTask(robot, "hand")`.
+        z: Task point; for a pose a `pin.SE3`, a 4 × 4 matrix or a flat point.
+        q0: Joints to start from.
+        options: As in `Atlas.solve`.
+
+    Raises:
+        InputError: Wrong shapes, or an unknown strategy.
+    """
+    return Atlas(task).solve(q0, z, **options)
 
 
 class _Traveller:

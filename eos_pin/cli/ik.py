@@ -30,7 +30,7 @@ from eos_pin.experiments.options import (
 
 # What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
 if TYPE_CHECKING:
-    from eos_pin.charts.atlas import JointPath
+    from eos_pin.charts.solutions import JointPath
 
 
 def ik(
@@ -43,8 +43,9 @@ def ik(
 ) -> int:
     """Find joints for a task point and self-motion coordinates, or along a path.
 
-    To a point the robot walks on a straight line. Where it cannot, or would end beyond its joint limits, it makes a
-    detour or, unless v is given, jumps to other joints; which of these is printed.
+    A point is first approached along the straight line in task and self-motion (continuation). Where that fails, or
+    would end beyond the joint limits, continuation goes via other points or, unless v is given, other joints are
+    searched for; the strategy that succeeded is printed.
 
     Args:
         robot: Which robot.
@@ -79,19 +80,19 @@ def ik(
         say_notes(curve)
         times = points_along(curve)
         found = Atlas(goal).follow(q, [curve(t).z for t in times.tolist()], v=v_goal)
-        residual, message, way, joints = found.residual, found.message, "path", found.q
+        residual, message, strategy, joints = found.residual, found.message, "path", found.q
     else:
         z = task_point(goal, to, q) if to else goal.value(q)
-        reached = Atlas(goal).reach(q, z, v=v_goal, points=100)
-        residual, message, way, found = reached.residual, reached.message, reached.way, reached.path
-        # Of a jump only the end counts.
+        reached = Atlas(goal).solve(q, z, v=v_goal, points=100)
+        residual, message, strategy, found = reached.residual, reached.message, reached.strategy, reached.path
+        # Of a search only the end counts.
         joints = np.linspace(q, reached.q, 101) if found is None else found.q
         times = np.linspace(0.0, 1.0, len(joints))
     times, end = times[: len(joints)], joints[-1] if len(joints) else q
     figures = {
         "status": "unreached" if message else "finished",
         "message": message,
-        "way": way,
+        "strategy": strategy,
         "joints": [joint.name for joint in machine.joints],
         "q": end,
         "task_error_max": residual,
@@ -101,13 +102,13 @@ def ik(
         (joint.name, f"{value:.6f}", joint.lower, joint.upper) for joint, value in zip(machine.joints, end, strict=True)
     ]
     console.print(grid(f"{machine.name}: {goal!r}", ("joint", "value", "lower", "upper"), rows))
-    console.print(f"{way}, {figures['charts']} charts, task error {format_number(residual)}")
+    console.print(f"{strategy}, {figures['charts']} charts, task error {format_number(residual)}")
     if message:
         stderr.print(f"not reached: {message}", markup=False)
-    elif way == "jump":
+    elif strategy == "search":
         stderr.print("These joints are not connected to q0 through charts: v starts anew there.")
     outside = (joints < machine.lower) | (joints > machine.upper)
-    if outside.any() and way != "jump":
+    if outside.any() and strategy != "search":
         names = [machine.joints[i].name for i in np.flatnonzero(outside.any(axis=0))]
         where = "at the end" if outside[-1].any() else "on the way"
         stderr.print(f"{', '.join(names)} exceeds its limits {where}; try another v or q0.")

@@ -17,8 +17,9 @@ from eos_pin._arrays import (
     number,
     vector,
 )
-from eos_pin.charts.atlas import Atlas, JointPath
+from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
+from eos_pin.charts.solutions import JointPath
 from eos_pin.errors import InputError, SingularError
 from eos_pin.planning.clearance import Clearance
 from eos_pin.robot.postures import JointsLike

@@ -13,7 +13,7 @@ from checks import EXACT, SOLVED, all_tasks, every_task
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eos_pin import Atlas, Chart, InputError, PositionTask, Robot, SingularError
+from eos_pin import Atlas, Chart, InputError, PositionTask, Robot, SingularError, inverse_kinematics
 
 HOME = np.array([0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8])
 
@@ -285,19 +285,19 @@ def test_all_that_is_reachable_is_reached_within_limits(request, name, kind):
     task = every_task(robot)[kind]
     frame, data, ways = robot.model.getFrameId(task.frame), robot.model.createData(), set()
     for z in reachable(task, 40):
-        reached = Atlas(task).reach(start_of(robot), z)
+        reached = Atlas(task).solve(start_of(robot), z)
         assert reached.found
         assert reached.within_limits
         assert ((robot.lower <= reached.q) & (reached.q <= robot.upper)).all()
         assert not reached.q.flags.writeable
         assert reached.residual <= SOLVED
-        assert (reached.path is None) == (reached.way == "jump")
+        assert (reached.path is None) == (reached.strategy == "search")
         pin.framesForwardKinematics(robot.model, data, reached.q)
         placement = data.oMf[frame]
         np.testing.assert_allclose(placement.translation, z[:3], atol=SOLVED)
         if kind == "pose":
             np.testing.assert_allclose(placement.rotation.ravel(), z[3:], atol=SOLVED)
-        ways.add(reached.way)
+        ways.add(reached.strategy)
     assert len(ways) > 1
 
 
@@ -305,8 +305,8 @@ def test_walks_and_detours_are_continuous_and_end_at_v(panda):
     task = every_task(panda)["pose"]
     atlas, seen = Atlas(task), set()
     for z in reachable(task, 12):
-        reached = atlas.reach(HOME, z, v=[0.2], points=400)
-        assert reached.way != "jump"
+        reached = atlas.solve(HOME, z, v=[0.2], points=400)
+        assert reached.strategy != "search"
         if not reached.found:
             continue
         check(atlas, reached.path)
@@ -315,23 +315,51 @@ def test_walks_and_detours_are_continuous_and_end_at_v(panda):
         np.testing.assert_allclose(task.value(reached.q), z, atol=SOLVED)
         # Near singularities the joints hurry, but none turns over.
         assert largest_step(reached.path) < 1.0
-        assert len(reached.path.q) == {"walk": 401, "detour": 801}[reached.way]
-        seen.add(reached.way)
-    assert seen == {"walk", "detour"}
+        assert len(reached.path.q) == {"continuation": 401, "via": 801}[reached.strategy]
+        seen.add(reached.strategy)
+    assert seen == {"continuation", "via"}
 
 
 def test_a_walk_is_what_follow_does(position):
     goal = [0.3, 0.45, 0.4]
-    reached = Atlas(position).reach(HOME, goal, ways=["walk"])
-    assert reached.way == "walk"
+    reached = Atlas(position).solve(HOME, goal, strategies=["continuation"])
+    assert reached.strategy == "continuation"
     np.testing.assert_allclose(reached.q, Atlas(position).follow(HOME, [goal]).q[-1], atol=1e-9)
 
 
 def test_the_same_seed_finds_the_same_joints(panda):
     task = every_task(panda)["pose"]
     for z in reachable(task, 10):
-        one, same = (Atlas(task).reach(HOME, z, ways=["jump"], seed=3) for _ in range(2))
+        one, same = (Atlas(task).solve(HOME, z, strategies=["search"], seed=3) for _ in range(2))
         np.testing.assert_array_equal(one.q, same.q)
+
+
+@pytest.mark.parametrize(
+    "form", [lambda pose: pose, lambda pose: pose.homogeneous, lambda pose: pose.homogeneous.tolist()]
+)
+def test_atlas_takes_poses_in_every_form(panda, form):
+    task = every_task(panda)["pose"]
+    start, atlas = panda.placement(HOME, task.frame), Atlas(task)
+    poses = [start * pin.SE3(pin.exp3(np.array([0.0, 0.0, s])), np.array([0.0, s, 0.0])) for s in (0.0, 0.02, 0.05)]
+    found = atlas.follow(HOME, [form(pose) for pose in poses])
+    same = atlas.follow(HOME, np.array([task.point(pose) for pose in poses]))
+    np.testing.assert_array_equal(found.q, same.q)
+    for solution in (atlas.solve(HOME, form(poses[-1])), inverse_kinematics(task, form(poses[-1]), HOME)):
+        np.testing.assert_allclose(solution.q, found.q[-1], atol=1e-8)
+        assert panda.placement(solution.q, task.frame).isApprox(poses[-1], 1e-9)
+
+
+def test_atlas_refuses_a_path_that_is_no_sequence_of_points(panda, position, unchecked):
+    pose = every_task(panda)["pose"]
+    for task, path, message in (
+        (pose, panda.placement(HOME, pose.frame), "sequence of task points"),
+        (position, 0.5, "sequence of task points"),
+        (position, [pin.SE3.Identity()], "must be 3 numbers"),
+        (pose, np.zeros((2, 3)), "shape"),
+        (pose, np.zeros((2, 4, 4)), "last row"),
+    ):
+        with pytest.raises(InputError, match=message):
+            Atlas(task).follow(HOME, path)
 
 
 def test_a_pose_is_taken_as_a_matrix(panda):
@@ -339,7 +367,7 @@ def test_a_pose_is_taken_as_a_matrix(panda):
     z = task.plus(task.value(HOME), np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.3]))
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = z[3:].reshape(3, 3), z[:3]
-    np.testing.assert_allclose(Atlas(task).reach(HOME, matrix).q, Atlas(task).reach(HOME, z).q, atol=1e-9)
+    np.testing.assert_allclose(Atlas(task).solve(HOME, matrix).q, Atlas(task).solve(HOME, z).q, atol=1e-9)
 
 
 def test_joints_beyond_their_limits_are_the_last_resort(panda):
@@ -348,8 +376,8 @@ def test_joints_beyond_their_limits_are_the_last_resort(panda):
     model.lowerPositionLimit, model.upperPositionLimit = HOME - 0.1, HOME + 0.1
     task = PositionTask(Robot(model), "panda_hand_tcp")
     atlas, z = Atlas(task), task.value(HOME + 0.5)
-    walked, jumped = (atlas.reach(HOME, z, ways=ways, tries=5) for ways in (None, ["jump"]))
-    assert (walked.way, jumped.way) == ("walk", "jump")
+    walked, jumped = (atlas.solve(HOME, z, strategies=ways, tries=5) for ways in (None, ["search"]))
+    assert (walked.strategy, jumped.strategy) == ("continuation", "search")
     for reached in (walked, jumped):
         assert reached.found
         assert not reached.within_limits
@@ -359,10 +387,10 @@ def test_joints_beyond_their_limits_are_the_last_resort(panda):
 def test_a_jump_leaves_a_singular_start(ur5):
     task, start = every_task(ur5)["pose"], np.zeros(6)
     z = task.value(start_of(ur5))
-    reached = Atlas(task).reach(start, z)
+    reached = Atlas(task).solve(start, z)
     assert reached.found
-    assert reached.way == "jump"
-    alone = Atlas(task).reach(start, z, ways=["walk"])
+    assert reached.strategy == "search"
+    alone = Atlas(task).solve(start, z, strategies=["continuation"])
     assert not alone.found
     assert "rank" in alone.message
     np.testing.assert_array_equal(alone.q, start)
@@ -371,13 +399,13 @@ def test_a_jump_leaves_a_singular_start(ur5):
 def test_what_is_out_of_reach_is_said_to_be(position):
     """The joints that are returned are nearer than any of a thousand postures."""
     z = np.array([2.0, 0.0, 0.333])
-    reached = Atlas(position).reach(HOME, z, tries=10)
+    reached = Atlas(position).solve(HOME, z, tries=10)
     assert not reached.found
     assert reached.within_limits
-    assert f"out of reach, by {reached.residual:.3g}" in reached.message
+    assert f"the best of 11 starts misses the task point by {reached.residual:.3g}" in reached.message
     others = [np.linalg.norm(z - other) for other in reachable(position, 1000)]
     assert np.linalg.norm(z - position.value(reached.q)) < min(others)
-    walked = Atlas(position).reach(HOME, z, ways=["walk", "detour"])
+    walked = Atlas(position).solve(HOME, z, strategies=["continuation", "via"])
     assert not walked.found
     assert "straight line" in walked.message
 
@@ -420,8 +448,8 @@ def test_a_search_without_a_way_downhill_ends(ur5):
         {"z": [0.1, 0.2]},
         {"z": [np.nan, 0.0, 0.0]},
         {"v": np.zeros(3)},
-        {"ways": []},
-        {"ways": ["fly"]},
+        {"strategies": []},
+        {"strategies": ["fly"]},
         {"points": 0},
         {"tries": -1},
     ],
@@ -430,4 +458,4 @@ def test_a_search_without_a_way_downhill_ends(ur5):
 def test_wrong_wishes_are_refused(position, wrong, unchecked):
     arguments = {"q": HOME, "z": [0.4, 0.1, 0.5]} | wrong
     with pytest.raises(InputError):
-        Atlas(position).reach(arguments.pop("q"), arguments.pop("z"), **arguments)
+        Atlas(position).solve(arguments.pop("q"), arguments.pop("z"), **arguments)

@@ -169,10 +169,10 @@ def test_inverse_kinematics_starts_from_wrapped_joints(swivel: Robot, task: Posi
         same(one.v, other.v)
         # From a chart that is given they are near its base; else near where they came from.
         same(one.q - (turn if chart is None else 0.0), other.q)
-        found = atlas.reach(q + turn, path[-1], chart=chart)
+        found = atlas.solve(q + turn, path[-1], chart=chart)
         assert found.found
-        same(swivel.unwrap(found.q, q), swivel.unwrap(atlas.reach(q, path[-1], chart=chart).q, q))
-    jumped = atlas.reach(q + turn, path[-1], ways=["jump"])
+        same(swivel.unwrap(found.q, q), swivel.unwrap(atlas.solve(q, path[-1], chart=chart).q, q))
+    jumped = atlas.solve(q + turn, path[-1], strategies=["search"])
     assert jumped.found
     assert (np.abs(jumped.q - q - turn)[TURNING] <= np.pi + 1e-9).all()
 

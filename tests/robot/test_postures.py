@@ -68,7 +68,7 @@ def test_every_taker_of_a_posture_takes_names(panda):
     np.testing.assert_array_equal(Chart.from_base(task, named).q_bar, q)
     np.testing.assert_array_equal(atlas.start(named).q_bar, q)
     np.testing.assert_array_equal(atlas.follow(named, [z, z + 0.01]).q, atlas.follow(q, [z, z + 0.01]).q)
-    np.testing.assert_array_equal(atlas.reach(named, z + 0.01).q, atlas.reach(q, z + 0.01).q)
+    np.testing.assert_array_equal(atlas.solve(named, z + 0.01).q, atlas.solve(q, z + 0.01).q)
     for drive in (simulate, simulate_sampled):
         run = drive(panda, EosController(task, Hold(z)), named, {"panda_joint1": 0.1}, duration=0.01)
         np.testing.assert_array_equal(run.q[0], q)

@@ -58,7 +58,7 @@ def test_kinematics_is_that_of_the_same_robot_with_mass(light, heavy):
         q = rest_posture(task)
         chart = Chart.from_base(task, q)
         path = fitting_path(task, q, shape="circle")
-        reached = Atlas(task).reach(q, task.value(q) + np.array([0.05, 0.0, -0.05]))
+        reached = Atlas(task).solve(q, task.value(q) + np.array([0.05, 0.0, -0.05]))
         followed = Atlas(task).follow(q, [path(t).z for t in np.linspace(0.0, path.period, 21)])
         assert reached.residual < 1e-9
         assert followed.complete
