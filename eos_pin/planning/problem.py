@@ -74,7 +74,11 @@ class Problem:
         far = np.array([robot.reach if joint.kind == "prismatic" else np.pi for joint in robot.joints])
         lower = np.where(np.isfinite(self.lower), self.lower, np.minimum(-far, self.upper - 2.0 * far))
         upper = np.where(np.isfinite(self.upper), self.upper, np.maximum(far, self.lower + 2.0 * far))
-        return lower, upper
+        # A joint that may turn more than once has the same postures a turn further; one turn in the middle is enough to
+        # begin with, and continuations go on from there.
+        turns = np.array([joint.kind != "prismatic" for joint in robot.joints]) & (upper - lower > 2.0 * np.pi)
+        middle = np.clip(0.0, lower + np.pi, np.maximum(upper - np.pi, lower + np.pi))
+        return np.where(turns, middle - np.pi, lower), np.where(turns, middle + np.pi, upper)
 
     @cached_property
     def scale(self) -> Array:
@@ -100,7 +104,7 @@ class Problem:
 
     def solutions(self, Z: Float[Array, "size #K"], random: np.random.Generator) -> tuple[Array, Array]:
         """Postures at task points, searched for from random ones, and whether each was found and is allowed."""
-        Q, found = self.manifold.search(self.random(random, Z.shape[1]), Z, self.sampling)
+        Q, found = self.manifold.search(self.random(random, Z.shape[1]), Z, (self.lower, self.upper))
         found[found] = self.allowed(Q[:, found])
         return Q, found
 

@@ -201,7 +201,7 @@ class Layers:
             # Continuations beyond the limits come back along the manifold where it leads back.
             out = on[:, ~problem.inside(on)]
             if out.shape[1]:
-                back, ok = problem.manifold.search(out, z[:, None], problem.sampling, iterations=15)
+                back, ok = problem.manifold.search(out, z[:, None], (problem.lower, problem.upper), iterations=15)
                 ok &= (np.abs(back - out) / problem.scale[:, None]).max(axis=0) < STRIDE
                 back = back[:, ok]
                 good = np.hstack((good, back[:, problem.allowed(back)]))
