@@ -20,6 +20,8 @@ from .control import EosController as EosController
 from .control import FreeNullSpace as FreeNullSpace
 from .control import JointLimits as JointLimits
 from .control import LimitedEosController as LimitedEosController
+from .control import FollowJoints as FollowJoints
+from .control import FollowPlan as FollowPlan
 from .control import Objective as Objective
 from .control import OpenLoop as OpenLoop
 from .control import OperationalSpaceController as OperationalSpaceController
@@ -29,11 +31,13 @@ from .control import ReduceKineticEnergy as ReduceKineticEnergy
 from .control import SumObjective as SumObjective
 from .control import Track as Track
 from .control import gravity_overload as gravity_overload
+from .control import journey as journey
 from .errors import ChartError as ChartError
 from .errors import EosError as EosError
 from .errors import InputError as InputError
 from .errors import InverseError as InverseError
 from .errors import OutputError as OutputError
+from .errors import PlanError as PlanError
 from .errors import ResultError as ResultError
 from .errors import RobotError as RobotError
 from .errors import SingularError as SingularError
@@ -49,8 +53,10 @@ from .planning import Avoidance as Avoidance
 from .planning import Clearance as Clearance
 from .planning import ClosestPair as ClosestPair
 from .planning import Obstacle as Obstacle
+from .planning import Plan as Plan
 from .planning import SelfMotionManifold as SelfMotionManifold
 from .planning import self_motion_manifold as self_motion_manifold
+from .planning import plan as plan
 from .robot import Joint as Joint
 from .robot import Payload as Payload
 from .robot import Robot as Robot

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eos_pin.cli.follow import Planned, loaded_plan, made_plan, plan_note, repeat_note
 from eos_pin.cli.output import (
     Output,
     console,
@@ -16,6 +17,7 @@ from eos_pin.cli.output import (
     progress,
     run_table,
     say_notes,
+    stderr,
     warn_of_gravity,
     write_outputs,
 )
@@ -41,33 +43,60 @@ def track(
     control: ControlOptions = ControlOptions(),
     simulation: RunOptions = RunOptions(),
     output: Output = Output(),
+    plan: Path | None = None,
 ) -> int:
     """Make a robot follow a path under EOS control; print, save and replay what happened.
 
     Files go to runs/ROBOT-TASK unless --out says otherwise: run.npz, summary.json, replay.html, overview.png.
+
+    Args:
+        robot: Which robot.
+        task: What the robot must do.
+        path: Where it should go.
+        control: How it is controlled.
+        simulation: How it is simulated.
+        output: What to keep.
+        plan: Plan to follow (.npz), made by `eos-pin plan` for this robot; it has its own task and path.
 
     For example:
 
       eos-pin track panda
       eos-pin track panda --task pose --swing 0.5 --view
       eos-pin track path/to/robot.urdf --frame tool0 --path circle --size 0.1 --cycles 5
+      eos-pin track panda --size 0.3 --path circle --self-motion planned
+      eos-pin track panda --plan circle.npz
       eos-pin track panda --control-rate 1000 --noise 1e-5 --model-error 0.1 --torque-limits
     """
     check_options(path, control, simulation, seed=output.seed)
     machine = robot.load()
     say_notes(machine)
-    goal, q = task.make(machine)
-    reference = path.make(goal, q)
+    motion: Planned | None = None
+    if plan is not None:
+        motion = loaded_plan(machine, plan, task.make(machine)[1] if task.q0 else None, control)
+        goal, reference, q = motion.task, motion.path, motion.q
+    else:
+        goal, q = task.make(machine)
+        reference = path.make(goal, q)
+        if control.self_motion == "planned":
+            motion = made_plan(goal, reference, q if task.q0 else None, control, output.seed)
+            reference, q = motion.path, motion.q
     say_notes(reference)
-    controller = control.make(goal, reference, q, simulation.control_period)
+    law = motion.law if motion else None
+    controller = control.make(goal, reference, q, simulation.control_period, law=law)
     duration = path.length(reference)
     warn_of_gravity(machine, q)
     with progress(output, machine, q, duration, f"{machine.name}, {task.task}") as observer:
-        result = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer)
+        start = motion.dq if motion else None
+        result = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer, dq=start)
     names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
     files = output.within(Path("runs") / f"{Path(robot.robot).stem}-{task.task}", names=names)
-    console.print(run_table(result.summary()))
-    print_files(write_outputs(files, result, machine))
+    summary = result.summary()
+    console.print(run_table(summary))
+    note = plan_note(result, motion) if motion else repeat_note(machine, result, control.self_motion)
+    if note:
+        stderr.print(note, soft_wrap=True)
+    figures = summary | {"plan_distance_max": motion.distance(result)} if motion else summary
+    print_files(write_outputs(files, result, machine, figures=figures))
     return 0 if result.ok else 1
 
 

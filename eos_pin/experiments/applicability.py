@@ -34,7 +34,7 @@ def _is_sampled(s: Settings) -> bool:
 
 
 def _is_random(s: Settings) -> bool:
-    return bool(s["noise"] or s["dropout"] or s["model_error"])
+    return bool(s["noise"] or s["dropout"] or s["model_error"] or s["self_motion"] == "planned")
 
 
 RULES = (
@@ -49,13 +49,13 @@ RULES = (
     Rule(("v", "swing"), lambda s: s["self_motion"] == "hold", "v is commanded with --self-motion hold only"),
     Rule(
         ("kp_self_motion",),
-        lambda s: s["self_motion"] in ("hold", "posture"),
-        "it belongs to --self-motion hold and posture",
+        lambda s: s["self_motion"] in ("hold", "posture", "planned"),
+        "it belongs to --self-motion hold, posture and planned",
     ),
     Rule(
         ("kd_self_motion",),
-        lambda s: s["self_motion"] in ("hold", "posture", "damp"),
-        "it belongs to --self-motion hold, posture and damp",
+        lambda s: s["self_motion"] in ("hold", "posture", "damp", "planned"),
+        "it belongs to --self-motion hold, posture, damp and planned",
     ),
     Rule(("substeps",), _is_sampled, "it belongs to sampled runs; add --control-rate 1000"),
     Rule(("push_time",), lambda s: s["push"] is not None, "there is no push; add --push FX FY FZ"),

@@ -156,7 +156,7 @@ class ControlOptions:
         controller: EOS computed torque, the same within joint and torque limits (sampled runs), or a traditional
             controller to compare with.
         self_motion: What the self-motion does: hold v, draw the joints to the start posture, damp, lower the kinetic
-            energy, or be left free.
+            energy, be left free, or follow a plan that is made first.
         v: Self-motion to hold, r numbers [rad or m]; by default where it is at the start.
         swing: Amplitude of a sine of the path's period that v's first coordinate follows [rad or m].
         kp: Gain on the task error [1/s²].
@@ -167,7 +167,7 @@ class ControlOptions:
     """
 
     controller: ControllerName = "eos"
-    self_motion: Literal["hold", "posture", "damp", "energy", "free"] = "hold"
+    self_motion: Literal["hold", "posture", "damp", "energy", "free", "planned"] = "hold"
     v: tuple[float, ...] = ()
     swing: float = 0.0
     kp: float = 100.0
@@ -176,8 +176,19 @@ class ControlOptions:
     kd_self_motion: float = 20.0
     chart_margin: float = 0.5
 
-    def make(self, task: Task, reference: Trajectory, q: JointVector, period: float | None) -> Controller:
-        """The controller, for a run with a control period [s], or None for a continuous one."""
+    def make(
+        self,
+        task: Task,
+        reference: Trajectory,
+        q: JointVector,
+        period: float | None,
+        *,
+        law: Objective | None = None,
+    ) -> Controller:
+        """The controller, for a run with a control period [s], or None for a continuous one.
+
+        `law` is that of the self-motion, where it is made already.
+        """
         from eos_pin.charts.atlas import Atlas
         from eos_pin.control.eos import EosController
         from eos_pin.control.limited import LimitedEosController
@@ -186,7 +197,7 @@ class ControlOptions:
         if self.controller in BASELINES:
             return BASELINES[self.controller](task, reference, q)
         atlas = Atlas(task, threshold=self.chart_margin)
-        law = self._law(task, reference, q)
+        law = law or self._law(task, reference, q)
         if self.controller == "eos":
             return EosController(task, reference, law, kp=self.kp, kd=self.kd, atlas=atlas)
         if period is None:
@@ -203,6 +214,10 @@ class ControlOptions:
             raise InputError(
                 "there is no self-motion to command: the task takes all joints (r = 0). Leave out --v, --swing and "
                 "--self-motion, count fewer axes, or choose a task with fewer coordinates"
+            )
+        if self.self_motion == "planned":
+            raise InputError(
+                "self-motion that is planned is for `eos-pin track` and the controllers eos and eos-limited"
             )
         if self.self_motion == "posture":
             return Posture(q, **gains)
@@ -295,8 +310,9 @@ class RunOptions:
         *,
         seed: int = 0,
         observer: Observer | None = None,
+        dq: JointVector | None = None,
     ) -> Result:
-        """Run the closed loop; `seed` is that of everything random.
+        """Run the closed loop from joints q and velocities dq, by default at rest; `seed` is that of everything random.
 
         Raises:
             KeyboardInterrupt: The run was interrupted; what was computed of it is dropped.
@@ -313,13 +329,14 @@ class RunOptions:
         period = self.control_period
         if period is None:
             result = simulate(
-                plant, controller, q, duration=duration, method=self.method, rtol=self.rtol, observer=observer
+                plant, controller, q, dq=dq, duration=duration, method=self.method, rtol=self.rtol, observer=observer
             )
             return uninterrupted(result)
         result = simulate_sampled(
             plant,
             controller,
             q,
+            dq=dq,
             duration=duration,
             control_period=period,
             substeps=self.substeps,

@@ -4,3 +4,12 @@ from .clearance import ClosestPair as ClosestPair
 from .clearance import Obstacle as Obstacle
 from .manifold import SelfMotionManifold as SelfMotionManifold
 from .manifold import self_motion_manifold as self_motion_manifold
+from .bodies import Bodies as Bodies
+from .plans import Plan as Plan
+from .planner import plan as plan
+from .scene import Box as Box
+from .scene import Capsule as Capsule
+from .scene import Mesh as Mesh
+from .scene import Scene as Scene
+from .scene import read_scene as read_scene
+from .scene import sphere as sphere

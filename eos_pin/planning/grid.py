@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from eos_pin._arrays import Array, VectorLike, broadcast, number
 from eos_pin.errors import InputError
-from eos_pin.planning.plan import Plan
+from eos_pin.planning.plans import Plan
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import PointLike, Task
 from eos_pin.trajectories.base import Trajectory

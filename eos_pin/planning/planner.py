@@ -15,7 +15,7 @@ from eos_pin.errors import InputError, PlanError
 from eos_pin.planning.bodies import Bodies
 from eos_pin.planning.courses import Mended, broken_at, mended, prolonged
 from eos_pin.planning.grid import Grid, grid_of
-from eos_pin.planning.plan import Plan
+from eos_pin.planning.plans import Plan
 from eos_pin.planning.problem import PostureCost, Problem, given, problem_of, told
 from eos_pin.planning.refine import Course, refine, without_bounds
 from eos_pin.planning.report import figures

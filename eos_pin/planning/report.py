@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from eos_pin._arrays import Array
 from eos_pin.planning.grid import Grid
-from eos_pin.planning.plan import Plan
+from eos_pin.planning.plans import Plan
 from eos_pin.planning.problem import Problem
 from eos_pin.tasks.base import Task
 from eos_pin.trajectories.through import sampled

@@ -11,11 +11,11 @@ import pytest
 
 from eos_pin import Atlas, EosController, InputError, PoseTask, PositionTask, circle, load_robot, simulate
 from eos_pin._kernels.distances import segment_to_box, segment_to_segment
-from eos_pin.control.journey import FollowPlan, distances, journey
+from eos_pin.control.joining import FollowPlan, distances, journey
 from eos_pin.control.objectives import FollowJoints
 from eos_pin.errors import PlanError, ResultError
 from eos_pin.planning.bodies import Bodies, Clearances
-from eos_pin.planning.plan import Plan
+from eos_pin.planning.plans import Plan
 from eos_pin.planning.planner import plan
 from eos_pin.planning.scene import Box, Capsule, Mesh, Scene, read_scene, sphere
 from eos_pin.tasks import batch as kinematics

@@ -12,7 +12,7 @@ from eos_pin._arrays import Array, JointVector, VectorLike, vector
 from eos_pin.control.objectives import FollowJoints
 from eos_pin.errors import PlanError
 from eos_pin.planning.grid import UNLIMITED
-from eos_pin.planning.plan import Plan
+from eos_pin.planning.plans import Plan
 from eos_pin.planning.planner import plan as planned
 from eos_pin.robot.model import Robot
 from eos_pin.trajectories.base import JointTarget, Target, Trajectory

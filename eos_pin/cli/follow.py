@@ -1,0 +1,99 @@
+"""What `eos-pin track` does with plans: it loads or makes them, joins them, and tells where joints will not repeat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eos_pin._arrays import JointVector
+from eos_pin.errors import InputError
+from eos_pin.experiments.options import ControlOptions
+
+if TYPE_CHECKING:
+    from eos_pin.control.objectives import FollowJoints
+    from eos_pin.planning.plans import Plan
+    from eos_pin.robot.model import Robot
+    from eos_pin.simulation.result import Result
+    from eos_pin.tasks.base import Task
+    from eos_pin.trajectories.base import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A plan that is followed.
+
+    Attributes:
+        task: Its task.
+        path: What the task follows.
+        law: Law of the self-motion.
+        q: Joints at the start.
+        dq: Their velocities.
+    """
+
+    task: Task
+    path: Trajectory
+    law: FollowJoints
+    q: JointVector
+    dq: JointVector
+
+    def distance(self, result: Result) -> float:
+        """Largest difference of a joint from the plan in a run [rad or m]."""
+        from eos_pin.control.joining import distances
+
+        return float(distances(self.law.joints, result.t, result.q).max()) if len(result.t) else 0.0
+
+
+def loaded_plan(robot: Robot, file: Path, q0: JointVector | None, control: ControlOptions) -> Planned:
+    """Plan from a file, joined from q0 where that is given."""
+    from eos_pin.planning.plans import Plan
+
+    return _followed(Plan.load(file, robot), q0, control)
+
+
+def made_plan(task: Task, path: Trajectory, start: JointVector | None, control: ControlOptions, seed: int) -> Planned:
+    """Plan for a path, from the joints at the start where they are given."""
+    from eos_pin.planning.planner import plan
+
+    return _followed(plan(task, path, start=start, seed=seed), None, control)
+
+
+def _followed(plan: Plan, q0: JointVector | None, control: ControlOptions) -> Planned:
+    from eos_pin.control.joining import journey
+    from eos_pin.control.objectives import FollowJoints
+
+    if control.controller not in ("eos", "eos-limited"):
+        raise InputError(f"a plan is followed by the controllers eos and eos-limited, not by {control.controller!r}")
+    gains = {"kp": control.kp_self_motion, "kd": control.kd_self_motion}
+    if q0 is not None:
+        way = journey(plan, q0)
+        first = way.joints(0.0)
+        return Planned(plan.task, way.path, FollowJoints(way.joints, **gains), first.q, first.dq)
+    first = plan(0.0)
+    return Planned(plan.task, plan.path, FollowJoints(plan, **gains), first.q, first.dq)
+
+
+def plan_note(result: Result, motion: Planned) -> str:
+    """How far the joints were from the plan, and a warning where they ended away from it."""
+    from eos_pin.control.joining import off_plan
+
+    if not len(result.t):
+        return ""
+    away = off_plan(motion.law.joints, result.t, result.q)
+    return f"Largest distance of a joint from the plan: {motion.distance(result):.3g} rad or m." + (
+        f" Warning: {away}." if away else ""
+    )
+
+
+def repeat_note(robot: Robot, result: Result, self_motion: str) -> str:
+    """Warning where the joints of a run do not repeat or left their limits, and what to do; empty otherwise."""
+    summary = result.summary()
+    left = bool(len(result.q)) and bool(((result.q < robot.lower) | (result.q > robot.upper)).any())
+    causes = []
+    if self_motion == "hold" and summary["chart_switches"] and summary["period"]:
+        causes.append(f"v is held over {summary['chart_switches'] + 1} charts, so that the joints do not repeat")
+    if left:
+        causes.append("joints leave their limits")
+    if not causes:
+        return ""
+    return f"Note: {' and '.join(causes)}. Add --self-motion planned, or see `eos-pin plan --help`, for joints that do."
