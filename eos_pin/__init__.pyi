@@ -17,11 +17,11 @@ from .control import DampedNullSpace as DampedNullSpace
 from .control import DescendPotential as DescendPotential
 from .control import EnergyNullSpace as EnergyNullSpace
 from .control import EosController as EosController
+from .control import FollowJoints as FollowJoints
+from .control import FollowPlan as FollowPlan
 from .control import FreeNullSpace as FreeNullSpace
 from .control import JointLimits as JointLimits
 from .control import LimitedEosController as LimitedEosController
-from .control import FollowJoints as FollowJoints
-from .control import FollowPlan as FollowPlan
 from .control import Objective as Objective
 from .control import OpenLoop as OpenLoop
 from .control import OperationalSpaceController as OperationalSpaceController
@@ -55,8 +55,8 @@ from .planning import ClosestPair as ClosestPair
 from .planning import Obstacle as Obstacle
 from .planning import Plan as Plan
 from .planning import SelfMotionManifold as SelfMotionManifold
-from .planning import self_motion_manifold as self_motion_manifold
 from .planning import plan as plan
+from .planning import self_motion_manifold as self_motion_manifold
 from .robot import Joint as Joint
 from .robot import Payload as Payload
 from .robot import Robot as Robot

@@ -29,8 +29,8 @@ from eos_pin.experiments.options import RobotOptions, TaskOptions
 
 if TYPE_CHECKING:
     from eos_pin.planning.bodies import Bodies
-    from eos_pin.planning.plans import Plan
     from eos_pin.planning.planner import Progress as Report
+    from eos_pin.planning.plans import Plan
     from eos_pin.planning.scene import Scene
     from eos_pin.robot.model import Robot
     from eos_pin.tasks.base import Task

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from eos_pin._arrays import Array, JointVector, VectorLike, vector
+from eos_pin._arrays import Array, VectorLike, vector
 from eos_pin.control.objectives import FollowJoints
 from eos_pin.errors import PlanError
 from eos_pin.planning.grid import UNLIMITED
-from eos_pin.planning.plans import Plan
 from eos_pin.planning.planner import plan as planned
+from eos_pin.planning.plans import Plan
 from eos_pin.robot.model import Robot
 from eos_pin.trajectories.base import JointTarget, Target, Trajectory
 from eos_pin.trajectories.pace import Clock, PacedJoints, PacedPath
@@ -188,7 +188,7 @@ def distances(joints: Callable[[float], Any], t: Array, q: Array) -> Array:
     return np.array([float(np.abs(joints(float(s))[0] - row).max()) for s, row in zip(t, q, strict=True)])
 
 
-def off_plan(joints: Callable[[float], Any], t: Array, q: JointVector, *, tol: float = 1e-2) -> str:
+def off_plan(joints: Callable[[float], Any], t: Array, q: Array, *, tol: float = 1e-2) -> str:
     """Sentence that says that a run ended away from its plan; empty where it did not."""
     left = float(distances(joints, t[-1:], q[-1:])[0])
     if left <= tol:

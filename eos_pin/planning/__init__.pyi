@@ -1,12 +1,12 @@
 from .avoidance import Avoidance as Avoidance
+from .bodies import Bodies as Bodies
 from .clearance import Clearance as Clearance
 from .clearance import ClosestPair as ClosestPair
 from .clearance import Obstacle as Obstacle
 from .manifold import SelfMotionManifold as SelfMotionManifold
 from .manifold import self_motion_manifold as self_motion_manifold
-from .bodies import Bodies as Bodies
-from .plans import Plan as Plan
 from .planner import plan as plan
+from .plans import Plan as Plan
 from .scene import Box as Box
 from .scene import Capsule as Capsule
 from .scene import Mesh as Mesh

@@ -15,8 +15,8 @@ from eos_pin.control.joining import FollowPlan, distances, journey
 from eos_pin.control.objectives import FollowJoints
 from eos_pin.errors import PlanError, ResultError
 from eos_pin.planning.bodies import Bodies, Clearances
-from eos_pin.planning.plans import Plan
 from eos_pin.planning.planner import plan
+from eos_pin.planning.plans import Plan
 from eos_pin.planning.scene import Box, Capsule, Mesh, Scene, read_scene, sphere
 from eos_pin.tasks import batch as kinematics
 from eos_pin.tasks.batch import Manifold, log3
@@ -479,3 +479,23 @@ def test_stretched_plan_is_slower_on_the_same_path(round_trip):
     slow = replace(round_trip, times=2.0 * round_trip.times, path=circle([0.45, 0.0, 0.5], 0.45, period=16.0))
     assert np.abs(slow(2.0).q - round_trip(1.0).q).max() < 1e-9
     assert np.abs(2.0 * slow(2.0).dq - round_trip(1.0).dq).max() < 1e-8
+
+
+def test_track_follows_a_plan_and_reports_its_distance(tmp_path, round_trip, capsys, monkeypatch):
+    from eos_pin.cli.main import main
+
+    monkeypatch.chdir(tmp_path)
+    file, figures = round_trip.save(tmp_path / "plan.npz"), tmp_path / "track.json"
+    assert main(["track", "panda", "--plan", str(file), "--duration", "0.5", "--json", str(figures)]) == 0
+    assert json.loads(figures.read_text())["plan_distance_max"] < 1e-6
+    assert "distance of a joint from the plan" in capsys.readouterr().err
+    assert main(["track", "xarm7", "--plan", str(file)]) == 2
+    assert "other joints" in capsys.readouterr().err
+
+
+def test_track_tells_that_held_self_motion_will_not_repeat(tmp_path, capsys, monkeypatch):
+    from eos_pin.cli.main import main
+
+    monkeypatch.chdir(tmp_path)
+    main(["track", "panda", "--path", "circle", "--size", "0.3", "--plane", "xz", "--period", "4", "--cycles", "1"])
+    assert "--self-motion planned" in " ".join(capsys.readouterr().err.split())
