@@ -36,6 +36,7 @@ from .errors import ChartError as ChartError
 from .errors import EosError as EosError
 from .errors import InputError as InputError
 from .errors import InverseError as InverseError
+from .errors import MissingDependencyError as MissingDependencyError
 from .errors import OutputError as OutputError
 from .errors import PlanError as PlanError
 from .errors import ResultError as ResultError

@@ -1,12 +1,22 @@
 """Array aliases and the checks every argument passes through.
 
 Values that outlive a call are read-only: a frozen dataclass around a writable array would not be frozen.
+
+Arguments are checked at the border, once: `checked` reads what a public function takes from its annotations, and what
+it is given otherwise is refused in the caller's own words. Inner code calls the same function without the check, as
+`_name` of a method `name`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TypeAlias
+import functools
+import inspect
+import math
+import operator
+import types
+import typing
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +33,28 @@ Matrix: TypeAlias = Float[np.ndarray, "k l"]
 Jacobian: TypeAlias = Float[np.ndarray, "m n"]
 #: What a caller may hand over where a vector is meant.
 VectorLike: TypeAlias = Sequence[float] | np.ndarray
+
+
+class Above(NamedTuple):
+    """Range of a number: greater than `least`, or at least that."""
+
+    least: float
+    reached: bool = False
+
+
+#: Numbers of a range, for annotations that `checked` reads.
+Positive: TypeAlias = Annotated[float, Above(0.0)]
+NonNegative: TypeAlias = Annotated[float, Above(0.0, reached=True)]
+
+T = TypeVar("T")
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def by_identity(kind: type[T]) -> type[T]:
+    """Make tuples of arrays equal only where they are the same object; arrays have no truth value for ==."""
+    for name in ("__eq__", "__ne__", "__hash__"):
+        setattr(kind, name, getattr(object, name))
+    return kind
 
 
 def nearest(grid: Vector, values: Float[np.ndarray, " j"]) -> Array:
@@ -79,6 +111,14 @@ def broadcast(values: VectorLike | float, size: int, name: str) -> Vector:
     return vector(np.full(size, array) if array.ndim == 0 else array, size, name)
 
 
+def gains(values: VectorLike | float, size: int | None, name: str) -> Array:
+    """Like `broadcast`, of numbers that are at least 0; of any size, and not made longer, where `size` is None."""
+    array = as_floats(values, name) if size is None else broadcast(values, size, name)
+    if not (np.isfinite(array).all() and (array >= 0.0).all()):
+        raise InputError(f"{name} must be finite and at least 0, got {as_floats(values, name).tolist()}")
+    return array
+
+
 def number(value: float, name: str, *, above: float = -np.inf, at_least: float = -np.inf) -> float:
     """Finite float; any real number type is accepted.
 
@@ -93,3 +133,206 @@ def number(value: float, name: str, *, above: float = -np.inf, at_least: float =
         bound = f" above {above:g}" if above > -np.inf else f" of at least {at_least:g}" if at_least > -np.inf else ""
         raise InputError(f"{name} must be a finite number{bound}, got {value!r}")
     return result
+
+
+# -- the border ------------------------------------------------------------------------------------------------------
+
+#: What stands for each size in messages.
+SIZES = {"n": "one per joint", "m": "one per task velocity", "r": "n − m, the degree of redundancy", "size": ""}
+
+
+class Checked:
+    """A class whose public methods check their arguments where they are decorated by `checked`.
+
+    `_name` is the method `name` without the check, also of an override in a subclass: that is checked as the method of
+    the base is, and needs no decorator.
+    """
+
+    def __init_subclass__(cls, **rest: Any) -> None:
+        """Check what the class overrides, and keep every method without its check."""
+        super().__init_subclass__(**rest)
+        for name, method in list(vars(cls).items()):
+            if not isinstance(method, types.FunctionType):
+                continue
+            inner = "_" + name.strip("_")
+            if not hasattr(method, "unchecked"):
+                contract = next((base for base in cls.__mro__[1:] if hasattr(vars(base).get(name), "unchecked")), None)
+                if contract is None:
+                    continue
+                method = _bordered(method, _Border(method, vars(contract)[name].border))
+                setattr(cls, name, method)
+            if inner not in vars(cls):
+                setattr(cls, inner, method.unchecked)
+
+
+def checked(function: F) -> F:
+    """Check the arguments of a function or a constructor by its annotations.
+
+    Arrays with named sizes, such as `Float[Array, "m n"]` or `JointVector`, are made of lists, and must be finite and
+    of these sizes, which are read from `self` and from the other arguments. Numbers must be finite, unless they are
+    infinite by default, and in the range of an `Above`. Objects must be of the class that is asked for. Everything
+    else, such as what may have many forms, is left to the function.
+    """
+    if isinstance(function, type):
+        constructor = function.__init__  # type: ignore[misc]
+        function.__init__ = _bordered(constructor, _Border(constructor))  # type: ignore[misc]
+        return function
+    return _bordered(function, _Border(function))
+
+
+def unchecked(function: F) -> F:
+    """A function that is decorated by `checked`, without the check."""
+    return function.unchecked  # type: ignore[attr-defined]
+
+
+def _bordered(function: Any, border: _Border) -> Any:
+    @functools.wraps(function)
+    def wrapper(*args: Any, **kwargs: Any) -> Any:
+        return function(*border.positional(args), **border.named(args, kwargs))
+
+    wrapper.unchecked, wrapper.border = function, border  # type: ignore[attr-defined]
+    return wrapper
+
+
+class _Border:
+    """The checks of a function's parameters, read from its annotations when it is first called."""
+
+    def __init__(self, function: Callable[..., Any], base: _Border | None = None) -> None:
+        self.function, self.base = function, base
+
+    @functools.cached_property
+    def checks(self) -> dict[str, Callable[[Any, Sequence[Any]], Any] | None]:
+        names = inspect.unwrap(self.function).__globals__
+        mine = {p.name: _check(p.name, _hint(p.annotation, names), p.default) for p in _parameters(self.function)}
+        if self.base is None:
+            return mine
+        # What an override leaves open is checked as in the method of the base.
+        others = dict(zip(mine, self.base.ordered))  # noqa: B905
+        return {name: check or others.get(name) for name, check in mine.items()}
+
+    @functools.cached_property
+    def ordered(self) -> list[Callable[[Any, Sequence[Any]], Any] | None]:
+        return list(self.checks.values())
+
+    def positional(self, args: Sequence[Any]) -> Sequence[Any]:
+        """The arguments in the form the function takes."""
+        if len(args) > len(self.ordered):
+            return args
+        return [value if check is None else check(value, args) for value, check in zip(args, self.ordered)]  # noqa: B905
+
+    def named(self, args: Sequence[Any], kwargs: dict[str, Any]) -> dict[str, Any]:
+        """The same of arguments by name."""
+        for name, value in kwargs.items():
+            check = self.checks.get(name)
+            if check is not None:
+                kwargs[name] = check(value, (*args, *kwargs.values()))
+        return kwargs
+
+
+def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
+    return [p for p in inspect.signature(function).parameters.values() if p.kind is not p.VAR_KEYWORD]
+
+
+def _hint(annotation: Any, names: dict[str, Any]) -> Any:
+    """The type that an annotation names; None for one that only a type checker can read."""
+    try:
+        return eval(annotation, names) if isinstance(annotation, str) else annotation
+    except (NameError, TypeError):
+        return None
+
+
+def _check(name: str, hint: Any, default: Any) -> Callable[[Any, Sequence[Any]], Any] | None:
+    """The check of one parameter; None for what the function looks at by itself."""
+    choices = typing.get_args(hint)
+    if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
+        others = [choice for choice in choices if choice is not type(None)]
+        check = _check(name, others[0], default) if len(others) == 1 else None
+        return check and (lambda value, known: value if value is None else check(value, known))
+    if hint is float or typing.get_origin(hint) is Annotated:
+        bound = next((extra for extra in choices[1:] if isinstance(extra, Above)), Above(-math.inf))
+        if choices and choices[0] is not float:
+            return None
+        endless = isinstance(default, float) and math.isinf(default)
+        return lambda value, known: _number(value, name, bound, endless)
+    if hint is int:
+        return lambda value, known: _integer(value, name)
+    if typing.get_origin(hint) is Literal:
+        return lambda value, known: _one_of(value, name, choices)
+    if hasattr(hint, "dim_str"):
+        more, *rest = hint.dim_str.split()
+        sizes, any_rows = (rest, True) if more.startswith("*") else ([more, *rest], False)
+        readable = all(size.isidentifier() or size.isdigit() for size in sizes) and "float64" in hint.dtypes
+        return (lambda value, known: _array(value, name, sizes, known, any_rows)) if readable else None
+    given = hint is not inspect.Parameter.empty
+    if given and isinstance(hint, type) and hint is not bool and not getattr(hint, "_is_protocol", False):
+        return lambda value, known: _instance(value, name, hint)
+    return None
+
+
+def _array(value: Any, name: str, sizes: Sequence[str], known: Sequence[Any], any_rows: bool) -> Array:
+    if sizes == ["size"] and (task := next((task for it in known if (task := _task_of(it)) is not None), None)):
+        return task.point(value)
+    shape = tuple(int(size) if size.isdigit() else _size(size, known) for size in sizes)
+    if type(value) is np.ndarray and value.shape == shape and value.dtype == float and np.isfinite(value).all():
+        return value
+    array = as_floats(value, name)
+    last = array.shape[max(array.ndim - len(shape), 0) :] if any_rows else array.shape
+    if len(last) != len(shape) or any(b is not None and a != b for a, b in zip(last, shape, strict=True)):
+        needed = ", ".join(size if there is None else str(there) for size, there in zip(sizes, shape, strict=True))
+        meaning = f" ({SIZES[sizes[0]]})" if len(sizes) == 1 and SIZES.get(sizes[0]) else ""
+        form = f"{needed} number{'' if needed == '1' else 's'}{meaning}" if len(sizes) == 1 else f"of shape ({needed})"
+        raise InputError(f"{name} must be {form}{' or rows of so many' * any_rows}, got shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} must be finite, got {array.tolist()}")
+    return array
+
+
+def _size(size: str, known: Sequence[Any]) -> int | None:
+    """A size by its name: of the robot, the task or the chart among the arguments, or of what they have."""
+    for holder in known:
+        found = getattr(holder, size, None)
+        if isinstance(found, int):
+            return found
+        inner = [getattr(holder, part, None) for part in ("chart", "task", "robot", "point", "clearance")]
+        if any(there is not None for there in inner) and not isinstance(holder, type):
+            found = _size(size, [there for there in inner if there is not None])
+            if found is not None:
+                return found
+    if size == "r":
+        n, m = _size("n", known), _size("m", known)
+        return None if n is None or m is None else n - m
+    return None
+
+
+def _task_of(holder: Any) -> Any:
+    """The task of a chart or an atlas, or the holder if it is a task itself; None for other things."""
+    task = getattr(holder, "task", holder)
+    return task if hasattr(task, "point") and hasattr(task, "linearize") else None
+
+
+def _number(value: Any, name: str, bound: Above, endless: bool) -> float:
+    if type(value) is float and bound.least < value < math.inf:
+        return value
+    if endless and value == math.inf:
+        return math.inf
+    ends = {"at_least": bound.least} if bound.reached else {"above": bound.least}
+    return number(value, name, **ends)
+
+
+def _integer(value: Any, name: str) -> int:
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise InputError(f"{name} must be a whole number, got {value!r}") from None
+
+
+def _one_of(value: Any, name: str, choices: Sequence[Any]) -> Any:
+    if not any(value is choice or (type(value) is type(choice) and value == choice) for choice in choices):
+        raise InputError(f"{name} must be {' or '.join(map(repr, choices))}, got {value!r}")
+    return value
+
+
+def _instance(value: Any, name: str, kind: type) -> Any:
+    if not isinstance(value, kind):
+        raise InputError(f"{name} must be of type {kind.__name__}, got {value!r}")
+    return value

@@ -30,8 +30,8 @@ class RobotError(EosError):
     """A robot description cannot be loaded, or its model cannot be controlled."""
 
 
-class UnknownNameError(RobotError, KeyError):
-    """A name (robot, frame, joint) is not known.
+class UnknownNameError(InputError, KeyError):
+    """A name (robot, frame, joint, setting) is not known.
 
     Attributes:
         kind: What the name should have named, such as `"frame"`.
@@ -46,6 +46,22 @@ class UnknownNameError(RobotError, KeyError):
     def __str__(self) -> str:
         # KeyError would show the repr of the message.
         return str(self.args[0])
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild, (type(self), self.args, self.__dict__)
+
+
+class MissingDependencyError(EosError, ImportError):
+    """A package that is not installed with eos_pin is needed.
+
+    Attributes:
+        package: Name of the package.
+        command: Command that installs it.
+    """
+
+    def __init__(self, purpose: str, package: str, command: str, advice: str = "") -> None:
+        self.package, self.command = package, command
+        super().__init__(f"{purpose} needs {package}, which is not installed; run: {command}{advice}")
 
     def __reduce__(self) -> tuple[object, ...]:
         return _rebuild, (type(self), self.args, self.__dict__)
@@ -75,12 +91,13 @@ class SingularError(ChartError):
     """The task Jacobian G' loses rank: the task itself is singular, no chart can help.
 
     Attributes:
-        rank: Rank that is left, at most m.
-        singular_values: Singular values of G'.
+        rank: Rank that is left, at most m; None where it was not computed.
+        singular_values: Singular values of G'; None where they were not computed.
     """
 
-    def __init__(self, message: str, rank: int, singular_values: Sequence[float]) -> None:
-        self.rank, self.singular_values = rank, tuple(singular_values)
+    def __init__(self, message: str, rank: int | None = None, singular_values: Sequence[float] | None = None) -> None:
+        self.rank = rank
+        self.singular_values = None if singular_values is None else tuple(singular_values)
         super().__init__(message)
 
     def __reduce__(self) -> tuple[object, ...]:

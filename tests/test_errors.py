@@ -12,6 +12,7 @@ from eos_pin import errors
 from eos_pin.errors import (
     EosError,
     InverseError,
+    MissingDependencyError,
     SingularError,
     UnknownNameError,
     suggest,
@@ -22,8 +23,9 @@ EXAMPLES = [
     UnknownNameError("frame", "tip0", ["tip", "base"], "Try harder."),
     InverseError("out of reach", 0.25, 17),
     SingularError("rank 2 of 3", 2, [1.0, 0.5, 1e-17]),
-    *(kind("something was wrong") for kind in CLASSES if kind not in (UnknownNameError, InverseError, SingularError)),
+    MissingDependencyError("a film", "cinema", "pip install cinema"),
 ]
+EXAMPLES += [kind("something was wrong") for kind in CLASSES if kind not in map(type, EXAMPLES)]
 
 
 @pytest.mark.parametrize("kind", CLASSES)
@@ -43,6 +45,14 @@ def test_an_error_survives_pickle_and_copy(error):
 def test_errors_are_also_what_python_would_raise():
     assert issubclass(errors.InputError, ValueError)
     assert issubclass(UnknownNameError, KeyError)
+    assert not issubclass(UnknownNameError, errors.RobotError)
+    assert issubclass(MissingDependencyError, ImportError)
+
+
+def test_missing_dependency_error_has_the_command_that_helps():
+    error = MissingDependencyError("a film", "cinema", "pip install cinema")
+    assert str(error) == "a film needs cinema, which is not installed; run: pip install cinema"
+    assert (error.package, error.command) == ("cinema", "pip install cinema")
 
 
 def test_an_unknown_name_is_told_as_a_sentence_with_near_matches():

@@ -230,7 +230,7 @@ class Kinematics:
             raise SingularError(
                 f"{self.task!r} is singular at q = {q.tolist()}, where self-motions meet or end; start from another "
                 "posture",
-                min(rank, self.m - 1),
+                rank,
                 values.tolist(),
             )
         ends, winding = (ENDS[end], ENDS[end]), np.zeros(self.n, dtype=np.int64)

@@ -67,7 +67,7 @@ cdef class Limits:
         cdef double up, down, part = 0.0, room = INFINITY, half = self.half, quarter = 0.5 * self.half * self.half
         if not (plain(q, n) and plain(dq, n) and plain(ddq, n)):
             return None
-        cdef cnp.ndarray tau = self.model.inverse_dynamics(q, dq, ddq)
+        cdef cnp.ndarray tau = self.model._inverse_dynamics(q, dq, ddq)
         cdef cnp.ndarray change = empty(n)
         for i in range(n):
             up, down = self.bound(i, data(q)[i], data(dq)[i]), self.bound(n + i, -data(q)[i], -data(dq)[i])
@@ -83,25 +83,25 @@ cdef class Limits:
             data(shift)[i] = self.kept_to(i, data(ddq)[i])
             data(speed)[i] = data(dq)[i] + half * data(shift)[i]
             data(middle)[i] = data(q)[i] + half * data(dq)[i] + quarter * data(shift)[i]
-        mean = self.model.forward_dynamics(middle, speed, tau)
+        mean = self.model._forward_dynamics(middle, speed, tau)
         if self.within(mean, tau, below, above):
             return tau, change
         for i in range(n):
             data(shift)[i] -= self.kept_to(i, data(mean)[i])
-        change = self.smallest(J, self.model.mass(middle), below, above)
+        change = self.smallest(J, self.model._mass(middle), below, above)
         part = 0.0
         for i in range(n):
             data(mean)[i] += data(change)[i]
             data(speed)[i] = data(dq)[i] + half * (data(mean)[i] + data(shift)[i])
             data(middle)[i] = data(q)[i] + half * data(dq)[i] + quarter * (data(mean)[i] + data(shift)[i])
-        tau = self.model.inverse_dynamics(middle, speed, mean)
+        tau = self.model._inverse_dynamics(middle, speed, mean)
         for i in range(n):
             part = max(part, fabs(data(tau)[i]) / self.torque[i])
         if part > 1.0:
             self.within(mean, tau, below, above)
             for i in range(n):
                 data(below)[i], data(above)[i] = min(data(below)[i], 0.0), max(data(above)[i], 0.0)
-            M = self.model.mass(middle)
+            M = self.model._mass(middle)
             more = self.smallest(J, M, below, above)
             for i in range(n):
                 data(change)[i] += data(more)[i]

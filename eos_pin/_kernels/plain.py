@@ -32,13 +32,13 @@ class TaskFunctions(Protocol):
     m: int
     size: int
 
-    def value(self, q: JointVector) -> Vector:
+    def _value(self, q: JointVector) -> Vector:
         """Task point."""
 
-    def linearize(self, q: JointVector) -> tuple[Vector, Jacobian]:
+    def _linearize(self, q: JointVector) -> tuple[Vector, Jacobian]:
         """Task point and Jacobian."""
 
-    def minus(self, z1: Vector, z0: Vector) -> TaskVector:
+    def _minus(self, z1: Vector, z0: Vector) -> TaskVector:
         """Step from z0 to z1."""
 
 
@@ -55,20 +55,20 @@ class PlainChain:
 
     def value(self, Q: Float[Array, "K n"]) -> Float[Array, "K size"]:
         """Task points."""
-        return np.reshape([self.task.value(q) for q in Q], (len(Q), self.size))
+        return np.reshape([self.task._value(q) for q in Q], (len(Q), self.size))
 
     def linearize(self, Q: Float[Array, "K n"]) -> tuple[Float[Array, "K size"], Float[Array, "K m n"]]:
         """Task points and Jacobians."""
         Z, J = np.empty((len(Q), self.size)), np.empty((len(Q), self.m, self.n))
         for k, q in enumerate(Q):
-            Z[k], J[k] = self.task.linearize(q)
+            Z[k], J[k] = self.task._linearize(q)
         return Z, J
 
     def minus(self, Z1: Array, Z0: Array) -> Float[Array, "K m"]:
         """Steps from Z0 to Z1; either may have one row for all."""
         count = max(len(Z1), len(Z0))
         pairs = zip(*(np.broadcast_to(Z, (count, self.size)) for Z in (Z1, Z0)), strict=True)
-        return np.reshape([self.task.minus(z1, z0) for z1, z0 in pairs], (count, self.m))
+        return np.reshape([self.task._minus(z1, z0) for z1, z0 in pairs], (count, self.m))
 
     def search(
         self,
@@ -129,8 +129,8 @@ def descend(
     """
     lower, upper = bounds
     q = np.minimum(np.maximum(q, lower), upper)
-    z_q, J = task.linearize(q)
-    error = task.minus(z, z_q)
+    z_q, J = task._linearize(q)
+    error = task._minus(z, z_q)
     square, mu, slow, iteration = float(error.dot(error)), DAMPING, 0, 0
     if not math.isfinite(square):
         return q, math.inf, 0
@@ -149,8 +149,8 @@ def descend(
         if longest > LONGEST:
             step *= LONGEST / longest
         ahead = np.minimum(np.maximum(q + step, lower), upper)
-        z_q, J_ahead = task.linearize(ahead)
-        error_ahead = task.minus(z, z_q)
+        z_q, J_ahead = task._linearize(ahead)
+        error_ahead = task._minus(z, z_q)
         square_ahead = float(error_ahead.dot(error_ahead))
         slow = 0 if square_ahead < 0.9 * square else slow + 1
         if square_ahead < square:

@@ -149,8 +149,8 @@ def nearest(
 
 def _look(chain: PlainChain, q: JointVector, z: Vector) -> tuple[float, JointVector, JointVector, float]:
     """Task error, the shortest step that removes it, the unit vector of the self-motion, and how regular q is."""
-    z_q, J = chain.task.linearize(q)
-    error = chain.task.minus(z, z_q)
+    z_q, J = chain.task._linearize(q)
+    error = chain.task._minus(z, z_q)
     basis, R = np.linalg.qr(J.T, mode="complete")
     diagonal = np.abs(R.diagonal())
     least = float(diagonal.min() / diagonal.max()) if diagonal.max() > 0.0 else 0.0

@@ -25,21 +25,26 @@ from eos_pin.errors import ChartError, SingularError
 RANK_TOLERANCE = 1e-7
 
 
+def rank_of(J: Jacobian) -> tuple[int, list[float]]:
+    """Rank and singular values of a Jacobian."""
+    values = np.linalg.svd(J, compute_uv=False)
+    return int((values > RANK_TOLERANCE * values[0]).sum()), values.tolist()
+
+
 def check_rank(J: Jacobian) -> None:
     """Refuse a Jacobian without full rank.
 
     Raises:
         SingularError: It has the rank and the singular values.
     """
-    values = np.linalg.svd(J, compute_uv=False)
-    rank = int((values > RANK_TOLERANCE * values[0]).sum())
+    rank, values = rank_of(J)
     if rank < J.shape[0]:
         raise SingularError(
             f"the task is singular here: its Jacobian has rank {rank} of {J.shape[0]} (singular values "
             f"{', '.join(f'{s:.2g}' for s in values)}). Move away from this configuration, or drop the lost direction "
             "from the task",
             rank,
-            values.tolist(),
+            values,
         )
 
 

@@ -17,6 +17,7 @@ from eos_pin._arrays import (
     JointVector,
     SelfMotionVector,
     TaskVector,
+    by_identity,
     frozen_copy,
 )
 from eos_pin._kernels.dispatch import use_compiled
@@ -25,6 +26,7 @@ from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Point, Task
 
 
+@by_identity
 class Inverse(NamedTuple):
     """A point of the inverse kinematic map y(z, v), Eq. (13).
 
@@ -69,15 +71,15 @@ def newton(
     u, B, last, keep = start.u, start.B, math.inf, True
     q = base - U.dot(u)
     for iteration in range(max_iterations + 1):
-        z_q, J = (task.value(q), None) if keep else task.linearize(q)
-        error = task.minus(z_q, z)
+        z_q, J = (task._value(q), None) if keep else task._linearize(q)
+        error = task._minus(z_q, z)
         residual = largest(error)
         # A step that leads away has left the neighbourhood of convergence, perhaps the chart. NaN ends here too.
         if residual <= tol or not residual < last:
             break
         # Once more with the same B the residual would fall by the same factor as before, to residual² / last.
         if refresh and residual * residual > tol * last:
-            renewed = on_chart_inverse(task.linearize(q)[1] if J is None else J, U)
+            renewed = on_chart_inverse(task._linearize(q)[1] if J is None else J, U)
             if renewed is None:
                 return Inverse(q, u, start.B, iteration, math.inf)
             B = renewed
@@ -145,13 +147,13 @@ def walk(
         The fraction of the way that was reached, 1.0 if all of it.
     """
     (z0, v0), (z1, v1) = start, goal
-    delta = task.minus(z1, z0)
+    delta = task._minus(z1, z0)
     reached, step = 0.0, first
     while reached < 1.0:
         if step < shortest:
             return reached
         ahead = min(1.0, reached + step)
-        z, v = (z1, v1) if ahead == 1.0 else (task.plus(z0, ahead * delta), v0 + ahead * (v1 - v0))
+        z, v = (z1, v1) if ahead == 1.0 else (task._plus(z0, ahead * delta), v0 + ahead * (v1 - v0))
         if visit(z, v):
             reached, step = ahead, 2.0 * step
         else:

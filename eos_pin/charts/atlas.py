@@ -15,13 +15,16 @@ from jaxtyping import Float
 
 from eos_pin._arrays import (
     Array,
+    Checked,
     Jacobian,
     JointVector,
     SelfMotionVector,
     VectorLike,
     as_floats,
+    checked,
     frozen_copy,
     number,
+    unchecked,
     vector,
 )
 from eos_pin.charts._newton import Inverse, walk
@@ -36,8 +39,9 @@ from eos_pin.tasks.base import Point, PointLike, Task
 SelfMotionPath: TypeAlias = "VectorLike | Callable[[int], VectorLike]"
 
 
+@checked
 @dataclass(frozen=True, eq=False)
-class Atlas:
+class Atlas(Checked):
     """The charts of one task, and the rule by which they follow each other.
 
     Attributes:
@@ -56,22 +60,26 @@ class Atlas:
     max_iterations: int = 8
 
     def __post_init__(self) -> None:
-        number(self.threshold, "the chart threshold", above=0.0)
+        number(self.threshold, "threshold", above=0.0)
         if self.threshold >= 1.0:
-            raise InputError(f"the chart threshold must be below 1, where charts end at once; got {self.threshold}")
+            raise InputError(f"threshold must be below 1, where charts end at once; got {self.threshold}")
 
+    @checked
     def start(self, q: JointsLike) -> Chart:
         """First chart, based at q with v = 0."""
         return Chart.from_base(self.task, q)
 
+    @checked
     def next(self, chart: Chart, q: JointsLike) -> Chart:
         """Chart based at q that continues v from `chart`; Eq. (27)."""
         return Chart.from_base(self.task, q, previous=chart)
 
+    @checked
     def holds(self, chart: Chart, J: Jacobian, q: JointVector | None = None) -> bool:
         """Whether `chart` still serves where the Jacobian is J and, if they are given, at these joints."""
-        return chart.contains(J, self.threshold) and (q is None or chart.room(q) > 0.0)
+        return chart._contains(J, self.threshold) and (q is None or chart._room(q) > 0.0)
 
+    @checked
     def follow(
         self,
         q: JointsLike,
@@ -142,6 +150,7 @@ class Atlas:
             raise InputError(f"a path of {self.task!r} must be finite and of shape (K, {size}), got {points.shape}")
         return points
 
+    @checked
     def solve(
         self,
         q: JointsLike,
@@ -187,6 +196,7 @@ class Atlas:
             raise InputError(f"points must be at least 1 and tries at least 0, got {points} and {tries}")
         return Search(self.task, self.follow, q, z, v, chart, points, tries, seed, tol).best(strategies)
 
+    _holds = unchecked(holds)
     reach = Renamed("solve")
 
 
@@ -211,11 +221,11 @@ class _Traveller:
     def __init__(self, atlas: Atlas, chart: Chart, q: JointVector, tol: float) -> None:
         self.atlas, self.tol = atlas, tol
         self.charts = [chart]
-        self.iterations, q = 0, chart.unwrap(q)
+        self.iterations, q = 0, chart._unwrap(q)
         self.reason, self.residual = "", 0.0
-        self.inverse = Inverse(q, chart.u(q), chart.B_bar, 0, 0.0)
-        self.z = atlas.task.value(q)
-        self.v = chart.v(q)
+        self.inverse = Inverse(q, chart._u(q), chart.B_bar, 0, 0.0)
+        self.z = atlas.task._value(q)
+        self.v = chart._v(q)
 
     def go(self, z: Point, v: SelfMotionVector) -> bool:
         """Walk to (z, v), through as many charts as it takes."""
@@ -230,7 +240,7 @@ class _Traveller:
     def _visit(self, z: Point, v: SelfMotionVector) -> bool:
         chart = self.charts[-1]
         try:
-            found = chart.inverse(z, v, start=self.inverse, tol=self.tol, walking=False)
+            found = chart._inverse(z, v, start=self.inverse, tol=self.tol, walking=False)
         except InverseError as error:
             self.iterations += error.iterations
             self.residual = error.residual
@@ -238,13 +248,13 @@ class _Traveller:
             self._renew(chart)
             return False
         self.iterations += found.iterations
-        if not np.array_equal(chart.unwrap(found.q), found.q):
+        if not np.array_equal(chart._unwrap(found.q), found.q):
             # Further than a continuous joint may turn on one chart.
             self._renew(chart)
             return False
         self.inverse, self.z, self.v = found, z, v
-        if found.iterations > self.atlas.max_iterations or not self.atlas.holds(
-            chart, self.atlas.task.linearize(found.q)[1], found.q
+        if found.iterations > self.atlas.max_iterations or not self.atlas._holds(
+            chart, self.atlas.task._linearize(found.q)[1], found.q
         ):
             self._renew(chart)
         return True

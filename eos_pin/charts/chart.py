@@ -18,11 +18,14 @@ from scipy.linalg import lapack
 
 from eos_pin._arrays import (
     Array,
+    Checked,
     Jacobian,
     JointVector,
     SelfMotionVector,
     TaskVector,
+    checked,
     frozen_copy,
+    unchecked,
 )
 from eos_pin.charts._basis import RANK_TOLERANCE, Basis, carried, check_rank, iterated_inverse, null_basis
 from eos_pin.charts._newton import Inverse, newton, walk
@@ -38,7 +41,7 @@ EDGE = "G'U is singular: this configuration is on the edge of the chart; make a 
 
 
 @dataclass(frozen=True, eq=False)
-class Chart:
+class Chart(Checked):
     """A neighbourhood of q_bar on which (z, v) are coordinates of the robot; made by `Chart.from_base`.
 
     Attributes:
@@ -62,6 +65,7 @@ class Chart:
     row_basis: Float[Array, "n m"]
 
     @classmethod
+    @checked
     def from_base(cls, task: Task, q: JointsLike, *, previous: Chart | None = None) -> Chart:
         """Chart with base point q.
 
@@ -76,14 +80,14 @@ class Chart:
             InputError: q has the wrong length or is not finite.
         """
         q = task.robot.posture(q, "the base configuration q")
-        q_bar = frozen_copy(q if previous is None else previous.unwrap(q))
-        z_bar, J = task.linearize(q_bar)
+        q_bar = frozen_copy(q if previous is None else previous._unwrap(q))
+        z_bar, J = task._linearize(q_bar)
         check_rank(J)
         row_basis = frozen_copy(np.linalg.qr(J.T)[0])
         if previous is None:
             v_bar, basis = np.zeros(task.robot.n - task.m), null_basis(J, row_basis)
         else:
-            v_bar, basis = previous.v(q_bar), carried(previous.basis, previous.row_basis, row_basis)
+            v_bar, basis = previous._v(q_bar), carried(previous.basis, previous.row_basis, row_basis)
         z_bar, v_bar, U, B_bar = (frozen_copy(array) for array in (z_bar, v_bar, J.T, np.linalg.inv(J @ J.T)))
         return cls(task, q_bar, z_bar, v_bar, U, B_bar, basis, row_basis)
 
@@ -102,36 +106,43 @@ class Chart:
         """Degree of redundancy n − m."""
         return self.v_bar.size
 
+    @checked
     def unwrap(self, q: JointVector) -> JointVector:
         """The same configuration, continuous joints at the angle nearest to the base point."""
         if not self.task.robot.turns:
             return q
-        return q if self.is_near(q) else self.task.robot.unwrap(q, self.q_bar)
+        return q if self._is_near(q) else self.task.robot._unwrap(q, self.q_bar)
 
+    @checked
     def is_near(self, q: JointVector) -> bool:
         """Whether q, not unwrapped, is so near to the base point that `room` is left for certain."""
         far = q - self.q_bar
         return bool(far.dot(far) < TURN**2)
 
+    @checked
     def room(self, q: JointVector) -> float:
         """How much further a continuous joint may turn before the chart ends [rad]; infinite without such joints."""
         if not self.task.robot.turns:
             return math.inf
-        far = np.abs(self.unwrap(q) - self.q_bar)
+        far = np.abs(self._unwrap(q) - self.q_bar)
         return TURN - float(far.max(where=self.task.robot.continuous, initial=0.0))
 
+    @checked
     def v(self, q: JointVector) -> SelfMotionVector:
         """Self-motion coordinates v = v_bar + Vᵀ(q − q_bar), continuous joints wrapped or not; from Eq. (11)."""
-        return self.basis.project(self.unwrap(q) if self.task.robot.turns else q) + self._v_zero
+        return self.basis.project(self._unwrap(q) if self.task.robot.turns else q) + self._v_zero
 
+    @checked
     def u(self, q: JointVector) -> TaskVector:
         """Coordinates u along U of a configuration, −(UᵀU)⁻¹Uᵀ(q − q_bar); from Eq. (11)."""
-        return -self.B_bar.dot(self.U.T.dot(self.unwrap(q) - self.q_bar))
+        return -self.B_bar.dot(self.U.T.dot(self._unwrap(q) - self.q_bar))
 
+    @checked
     def q(self, v: SelfMotionVector, u: TaskVector) -> JointVector:
         """Joints q = q_bar + V(v − v_bar) − U u; Eq. (11)."""
         return self.q_bar + self.basis.apply(v - self.v_bar) - self.U.dot(u)
 
+    @checked
     def dv(self, dq: JointVector) -> SelfMotionVector:
         """Self-motion velocity Vᵀ dq; Eqs. (19), (27)."""
         return self.basis.project(dq)
@@ -150,6 +161,7 @@ class Chart:
     def _v_zero(self) -> SelfMotionVector:
         return self.v_bar - self.basis.project(self.q_bar)
 
+    @checked
     def margin(self, J: Jacobian, *, enough: float = math.inf) -> float:
         """How far a configuration with Jacobian J is from the edge of the chart: 1 at the base point, 0 on the edge.
 
@@ -177,16 +189,19 @@ class Chart:
         _, _, cosines, _ = lapack.dgesv(L, JQ)
         return float(np.linalg.svd(cosines, compute_uv=False)[-1])
 
+    @checked
     def contains(self, J: Jacobian, threshold: float) -> bool:
         """Whether `margin(J)` exceeds `threshold`."""
-        return self.margin(J, enough=threshold) > threshold
+        return self._margin(J, enough=threshold) > threshold
 
     # -- derivatives -------------------------------------------------------------------------------------------------
 
+    @checked
     def point(self, q: JointVector, dq: JointVector) -> ChartPoint:
         """Velocity and acceleration kinematics at a state of the robot; Eqs. (15)–(20)."""
-        return ChartPoint(self, self.unwrap(q), dq, self.task.at(q, dq))
+        return ChartPoint(self, self._unwrap(q), dq, self.task._at(q, dq))
 
+    @checked
     def B(self, J: Jacobian, start: Float[Array, "m m"] | None = None, *, tol: float = 1e-12) -> Float[Array, "m m"]:
         """B = (G'U)⁻¹ where the Jacobian is J; Eq. (15).
 
@@ -207,6 +222,7 @@ class Chart:
             return B
         return iterated_inverse(GU, start, tol=tol)
 
+    @checked
     def acceleration(self, J: Jacobian, task: TaskVector, self_motion: SelfMotionVector) -> JointVector:
         """Joint acceleration ddq with J ddq = `task` and Vᵀ ddq = `self_motion`.
 
@@ -216,12 +232,13 @@ class Chart:
         Raises:
             ChartError: [G'; Vᵀ] is singular.
         """
-        A, b, lifted = self.system(J, np.concatenate((task, self_motion)))
+        A, b, lifted = self._system(J, np.concatenate((task, self_motion)))
         _, _, x, info = lapack.dgesv(A, b)
         if info:
             raise ChartError(EDGE)
         return x if lifted is None else lifted + self.row_basis.dot(x)
 
+    @checked
     def system(self, J: Jacobian, F: JointVector) -> tuple[Array, Array, JointVector | None]:
         """A and b of A x = b; x is the acceleration that `F` asks for, for many joints its part beside V F_v.
 
@@ -247,6 +264,7 @@ class Chart:
 
     # -- inverse kinematics ------------------------------------------------------------------------------------------
 
+    @checked
     def inverse(
         self,
         z: Point,
@@ -293,9 +311,9 @@ class Chart:
 
         reached = 0.0
         if walking:
-            reached = walk(self.task, (self.task.value(start.q), self.v(start.q)), (z, v), visit)
+            reached = walk(self.task, (self.task._value(start.q), self._v(start.q)), (z, v), visit)
         if reached < 1.0:
-            residual = float(np.abs(self.task.minus(self.task.value(current.q), z)).max())
+            residual = float(np.abs(self.task._minus(self.task._value(current.q), z)).max())
             raise InverseError(
                 f"no joints on this chart have the task point asked for: {reached:.1%} of the way from the known "
                 f"point the chart ends or the point is out of reach (task error {residual:.3g} left after {iterations} "
@@ -304,6 +322,13 @@ class Chart:
                 iterations,
             )
         return current._replace(iterations=iterations)
+
+    # -- the same without checks, for inner loops ----------------------------------------------------------------------
+
+    _unwrap, _is_near, _room = unchecked(unwrap), unchecked(is_near), unchecked(room)
+    _v, _u, _q, _dv = unchecked(v), unchecked(u), unchecked(q), unchecked(dv)
+    _margin, _contains, _point, _B = unchecked(margin), unchecked(contains), unchecked(point), unchecked(B)
+    _acceleration, _system, _inverse = unchecked(acceleration), unchecked(system), unchecked(inverse)
 
     @cached_property
     def _base(self) -> Inverse:
@@ -336,12 +361,12 @@ class ChartPoint:
     @cached_property
     def v(self) -> SelfMotionVector:
         """Self-motion coordinates; Eq. (11)."""
-        return self.chart.v(self.q)
+        return self.chart._v(self.q)
 
     @cached_property
     def dv(self) -> SelfMotionVector:
         """Self-motion velocity Vᵀ dq; Eqs. (19), (27)."""
-        return self.chart.dv(self.dq)
+        return self.chart._dv(self.dq)
 
     @cached_property
     def dw(self) -> JointVector:
@@ -351,7 +376,7 @@ class ChartPoint:
     @cached_property
     def B(self) -> Float[Array, "m m"]:
         """(G'U)⁻¹; Eq. (15)."""
-        return self.chart.B(self.task.J)
+        return self.chart._B(self.task.J)
 
     @cached_property
     def D(self) -> Float[Array, "n r"]:

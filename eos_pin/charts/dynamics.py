@@ -14,6 +14,7 @@ import scipy.linalg
 from jaxtyping import Float
 
 from eos_pin._arrays import Array, JointVector, TaskVector
+from eos_pin.charts._basis import rank_of
 from eos_pin.charts.chart import Chart, ChartPoint
 from eos_pin.errors import SingularError
 from eos_pin.robot.model import Robot
@@ -35,19 +36,19 @@ class ExtendedDynamics:
     @classmethod
     def from_state(cls, robot: Robot, chart: Chart, q: JointVector, dq: JointVector) -> ExtendedDynamics:
         """Equations of motion at the state (q, dq)."""
-        return cls(robot, chart.point(q, dq))
+        return cls(robot, chart._point(q, dq))
 
     @cached_property
     def mass(self) -> Float[Array, "n n"]:
         """Mass matrix Hᵀ M H of w; its blocks are those of Eq. (26)."""
         H = self.point.H
-        return H.T @ self.robot.mass(self.point.q) @ H
+        return H.T @ self.robot._mass(self.point.q) @ H
 
     @cached_property
     def bias(self) -> JointVector:
         """Force Hᵀ(M E − R) that holds w at zero acceleration; Eq. (26)."""
         # M E − R is the torque of the acceleration E.
-        return self.point.H.T @ self.robot.inverse_dynamics(self.point.q, self.point.dq, self.point.E)
+        return self.point.H.T @ self.robot._inverse_dynamics(self.point.q, self.point.dq, self.point.E)
 
     def force(self, tau: JointVector, task_force: TaskVector | None = None) -> JointVector:
         """Generalized force on w of joint torques and of a force F^z on the task; right side of Eq. (26).
@@ -73,9 +74,9 @@ class ExtendedDynamics:
         J = point.task.J
         if task_force is not None:
             tau = tau + J.T @ task_force
-        ddq = self.robot.forward_dynamics(point.q, point.dq, tau)
+        ddq = self.robot._forward_dynamics(point.q, point.dq, tau)
         # H⁻¹ = [G'; Vᵀ] and −H⁻¹E = (Ġ' dq, 0)
-        return np.concatenate((J @ ddq + point.task.drift, point.chart.dv(ddq)))
+        return np.concatenate((J @ ddq + point.task.drift, point.chart._dv(ddq)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +100,7 @@ class TaskSpaceDynamics:
 
     @cached_property
     def _factor(self) -> tuple[Array, bool]:
-        return scipy.linalg.cho_factor(self.robot.mass(self.q))
+        return scipy.linalg.cho_factor(self.robot._mass(self.q))
 
     @cached_property
     def _M_inverse_Jt(self) -> Float[Array, "n m"]:
@@ -113,21 +114,20 @@ class TaskSpaceDynamics:
         if not values[0] > 1e-14 * values[-1]:
             raise SingularError(
                 "the task is singular here: its mass matrix Λ does not exist. Move away from this configuration",
-                int((values > 1e-14 * values[-1]).sum()),
-                np.sqrt(np.maximum(values, 0.0)).tolist(),
+                *rank_of(self.task.J),
             )
         return np.linalg.inv(inverse)
 
     @cached_property
     def mu(self) -> TaskVector:
         """Centrifugal and Coriolis force −ΛG'M⁻¹S − ΛĠ'dq [N, N m]."""
-        S = self.robot.gravity(self.q) - self.robot.bias(self.q, self.dq)
+        S = self.robot._gravity(self.q) - self.robot._bias(self.q, self.dq)
         return -self.Lambda @ (self._M_inverse_Jt.T @ S + self.task.drift)
 
     @cached_property
     def p(self) -> TaskVector:
         """Gravity force −ΛG'M⁻¹Q^y [N, N m]."""
-        return self.Lambda @ (self._M_inverse_Jt.T @ self.robot.gravity(self.q))
+        return self.Lambda @ (self._M_inverse_Jt.T @ self.robot._gravity(self.q))
 
     @cached_property
     def J_sharp(self) -> Float[Array, "n m"]:
@@ -142,5 +142,5 @@ class TaskSpaceDynamics:
     def force(self, ddz: TaskVector) -> TaskVector:
         """Task force Λ ddz + μ + p that causes the task acceleration ddz [N, N m]; Eq. (9)."""
         # Λ(ddz − drift + G'M⁻¹ bias): μ and p in one.
-        bias = self.robot.bias(self.q, self.dq)
+        bias = self.robot._bias(self.q, self.dq)
         return self.Lambda @ (ddz - self.task.drift + self._M_inverse_Jt.T @ bias)

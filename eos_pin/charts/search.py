@@ -79,7 +79,7 @@ class Search:
             for posture in Postures(robot, self.seed, VIA_POINTS)(VIA_POINTS):
                 if connected:
                     break
-                yield (attempt := self._continue("via", [self.task.value(posture), self.z]))
+                yield (attempt := self._continue("via", [self.task._value(posture), self.z]))
                 connected = attempt.found
         if "search" in strategies:
             anything = np.full(robot.n, np.inf)
@@ -90,15 +90,15 @@ class Search:
 
     def _continue(self, strategy: Strategy, corners: Sequence[Point]) -> IkSolution:
         """Follow straight lines from q through the corners."""
-        task, q, v, z0 = self.task, self.q, self.v, self.task.value(self.q)
+        task, q, v, z0 = self.task, self.q, self.v, self.task._value(self.q)
         path = [z0] + [
-            task.plus(a, s * task.minus(b, a)) if s < 1.0 else b
+            task._plus(a, s * task._minus(b, a)) if s < 1.0 else b
             for a, b in pairwise([z0, *corners])
             for s in np.arange(1, self.points + 1) / self.points
         ]
         try:
             chart = self.chart or Chart.from_base(task, q)
-            v0 = chart.v(q)
+            v0 = chart._v(q)
             v_path = v0 if v is None else v0 + np.linspace(0.0, 1.0, len(path))[:, None] * (v - v0)
             found = self.follow(q, np.array(path), v=v_path, chart=chart, tol=self.tol)
         except SingularError as error:
@@ -116,13 +116,13 @@ class Search:
                 f"no joints found: the best of {self.tries + 1} starts misses the task point by {residual:.3g}. It may "
                 "be out of reach; increase `tries`, or start elsewhere"
             )
-        solution = self._solution(robot.unwrap(found, self.q), "search", None, message)
+        solution = self._solution(robot._unwrap(found, self.q), "search", None, message)
         if not message:
             self.task.kinematics.confirm(solution.residual, self.tol)
         return solution
 
     def _solution(self, q: JointVector, strategy: Strategy, path: JointPath | None, message: str) -> IkSolution:
         robot = self.task.robot
-        residual = float(np.abs(self.task.minus(self.task.value(q), self.z)).max())
+        residual = float(np.abs(self.task._minus(self.task._value(q), self.z)).max())
         within = bool(((q >= robot.lower) & (q <= robot.upper)).all())
         return IkSolution(frozen_copy(q), strategy, path, residual, within, message)

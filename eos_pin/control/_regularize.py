@@ -123,8 +123,8 @@ class AccelerationMap:
         if self._compiled is None or type(v_d) is not Hold:
             return None
         task = self.chart.task
-        at = (isinstance(task, FrameTask) and type(task).at is FrameTask.at and task.compiled) or task.at
-        minus = None if type(task).minus is Task.minus else task.minus
+        at = (isinstance(task, FrameTask) and type(task).at is FrameTask.at and task.compiled) or task._at
+        minus = None if type(task).minus is Task.minus else task._minus
         held = v_d.z + self.chart.basis.project(self.chart.q_bar) - self.chart.v_bar
         return kernels.TrackingLaw(*self._made_from, kp, kd, kp_v, kd_v, held, at, minus)
 
@@ -132,15 +132,15 @@ class AccelerationMap:
         """`Chart.margin`, or a lower bound of it that exceeds `enough`."""
         nothing = self._nothing
         driven = None if self._compiled is None else self._compiled(J, nothing, nothing)
-        return driven[1] if driven is not None and driven[1] > enough else self.chart.margin(J, enough=enough)
+        return driven[1] if driven is not None and driven[1] > enough else self.chart._margin(J, enough=enough)
 
     def _reference(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
         """The same, without what is compiled."""
         n, m = self.chart.n, self.chart.m
         speed = math.sqrt(dq.dot(dq))
         if self.smooth and speed > OVERSPEED:
-            F = np.concatenate((F[:m], F[m:] - OVERSPEED_DAMPING * (speed - OVERSPEED) * self.chart.dv(dq)))
-        A, b, lifted = self.chart.system(J, F)
+            F = np.concatenate((F[:m], F[m:] - OVERSPEED_DAMPING * (speed - OVERSPEED) * self.chart._dv(dq)))
+        A, b, lifted = self.chart._system(J, F)
         LU, pivots, info = lapack.dgetrf(A)
         H, singular = lapack.dgetri(LU, pivots, overwrite_lu=1)
         # H = [U B, D] column by column; beyond DENSE_SOLVE it has no D.

@@ -12,17 +12,27 @@ from eos_pin._arrays import (
     JointVector,
     TaskVector,
     VectorLike,
-    broadcast,
     frozen_copy,
+    gains,
+    number,
 )
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task, TaskPoint
 from eos_pin.trajectories.base import Trajectory, check_reference
 
+#: Largest relative difference of two control periods that are the same.
+SAME_PERIOD = 1e-9
+
 
 class Controller(ABC):
-    """Torques for a robot, as a pure function of time, state and an explicit memory."""
+    """Torques for a robot, as a pure function of time, state and an explicit memory.
+
+    Attributes:
+        control_period: Period at which it has to be called [s]; None where any will do.
+    """
+
+    control_period: float | None = None
 
     def start(self, t: float, q: JointVector, dq: JointVector) -> Any:
         """Memory at the start of a run; None for a controller that needs none."""
@@ -56,6 +66,24 @@ class Controller(ABC):
     def describe(self) -> dict[str, Any]:
         """What it is, in plain values, for the provenance of a run."""
         return {"kind": type(self).__name__}
+
+
+def agreed_period(controller: Controller, given: float | None) -> float | None:
+    """Control period of a loop: that of its controller, or the one that is given; None where there is neither.
+
+    Raises:
+        InputError: Both are given and differ, or one is not above 0.
+    """
+    own = controller.control_period
+    if given is None:
+        return own
+    number(given, "the control period", above=0.0)
+    if own is not None and abs(own - given) > SAME_PERIOD * given:
+        raise InputError(
+            f"the controller is made for a control period of {own:g} s, the loop runs at {given:g} s: give the "
+            f"{type(controller).__name__} control_period={given:g}, or leave the period of the loop to it"
+        )
+    return given
 
 
 class TaskController(Controller):
@@ -111,7 +139,7 @@ class TaskController(Controller):
             InputError: It does not fit.
         """
         if name in ("kp", "kd"):
-            return frozen_copy(broadcast(value, self.task.m, f"the task gain {name}"))
+            return frozen_copy(gains(value, self.task.m, f"the task gain {name}"))
         if name == "reference":
             check_reference(self.task, value)
         elif name == "gravity":
@@ -141,7 +169,7 @@ class TaskController(Controller):
     def task_acceleration(self, t: float, point: TaskPoint) -> TaskVector:
         """Task part of F*: ddz_d + kd (dz_d − dz) + kp (z_d − z); Eqs. (33), (36)."""
         z_d, dz_d, ddz_d = self.reference(t)
-        pull = self.kp * self.task.minus(z_d, point.z)
+        pull = self.kp * self.task._minus(z_d, point.z)
         if not self.feedforward:
             return pull - self.kd * point.dz
         pull += self.kd * (dz_d - point.dz)
@@ -154,8 +182,8 @@ class TaskController(Controller):
         Zero to rounding where the controller does all it is asked; see `EosController` and `LimitedEosController` for
         where it does not.
         """
-        point = self.task.at(q, dq)
-        ddq = self._model.forward_dynamics(q, dq, self.torque(t, q, dq, state))
+        point = self.task._at(q, dq)
+        ddq = self._model._forward_dynamics(q, dq, self.torque(t, q, dq, state))
         return self.task_acceleration(t, point) - point.J @ ddq - point.drift
 
 

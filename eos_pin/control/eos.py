@@ -135,7 +135,7 @@ class EosController(TaskController):
         return renewed
 
     def torque(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> JointVector:
-        q = state.chart.unwrap(q)
+        q = state.chart._unwrap(q)
         ddq, _, J = self._drive(t, q, dq, self._current(state))
         return self._within(q, dq, ddq, J)[0]
 
@@ -149,7 +149,7 @@ class EosController(TaskController):
             driven = state.law(q, dq, z_d, dz_d, ddz_d, more)
             if driven is not None:
                 return driven
-        point = self.task.at(q, dq)
+        point = self.task._at(q, dq)
         F = self.asked(t, q, dq, state.chart, point)
         if more is not None:
             F[point.dz.size :] += more
@@ -164,7 +164,7 @@ class EosController(TaskController):
         self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
     ) -> tuple[JointVector, JointVector]:
         """M ddq − R, Eq. (35), and what limits change in ddq on average over a period; nothing here."""
-        return self._model.inverse_dynamics(q, dq, ddq), self._unchanged
+        return self._model._inverse_dynamics(q, dq, ddq), self._unchanged
 
     def task_deficit(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> TaskVector:
         found = self.evaluate(t, q, dq, state)
@@ -172,29 +172,29 @@ class EosController(TaskController):
 
     def evaluate(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> ControlReport:
         """The torque at a state, and what it is made of, for the record of a run."""
-        q = state.chart.unwrap(q)
+        q = state.chart._unwrap(q)
         ddq, margin, J = self._drive(t, q, dq, self._current(state))
         tau, change = self._within(q, dq, ddq, J)
         singular = self._rest
         # Where a direction fades no bound of the margin comes with the acceleration.
         if margin <= 0.0:
-            point = self.task.at(q, dq)
+            point = self.task._at(q, dq)
             singular = self.task_acceleration(t, point) - J.dot(ddq) - point.drift
         limited = self._rest if change is self._unchanged else -J.dot(change)
-        return ControlReport(tau, self.task.value(q), J.dot(dq), singular, limited)
+        return ControlReport(tau, self.task._value(q), J.dot(dq), singular, limited)
 
     def validity(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> float:
-        _, J = self.task.linearize(q)
+        _, J = self.task._linearize(q)
         state = self._current(state)
         try:
             margin = state.drive.margin(J, self.atlas.threshold) - self.atlas.threshold
-            return min(margin, state.chart.room(q)) if self._turns else margin
+            return min(margin, state.chart._room(q)) if self._turns else margin
         except SingularError:
             # No chart can be made here; the one there is serves until the task has full rank again.
             return 1.0
 
     def update(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> EosState:
-        q = state.chart.unwrap(q)
+        q = state.chart._unwrap(q)
         try:
             chart = self.atlas.next(state.chart, q)
         except SingularError:
@@ -204,15 +204,15 @@ class EosController(TaskController):
             return following
         # dv is another on the new chart, and so is what the law asks of it; the difference is forgotten by and by.
         ddq, _, _ = self._drive(t, q, dq, self._current(state))
-        F = self.asked(t, q, dq, chart, self.task.at(q, dq))
-        return replace(following, since=t, carried=chart.dv(ddq) - F[chart.m :])
+        F = self.asked(t, q, dq, chart, self.task._at(q, dq))
+        return replace(following, since=t, carried=chart._dv(ddq) - F[chart.m :])
 
     def step(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> tuple[JointVector, EosState]:
         if state.made_of is not self._version:
             state = self._current(state)
-        turned = self._turns and not state.chart.is_near(q)
+        turned = self._turns and not state.chart._is_near(q)
         if turned:
-            q, turned = state.chart.unwrap(q), state.chart.room(q) <= 0.0
+            q, turned = state.chart._unwrap(q), state.chart._room(q) <= 0.0
         ddq, margin, J = self._drive(t, q, dq, state)
         # The bound that comes with the acceleration saves the chart's exact margin nearly always.
         if turned or (margin <= self.atlas.threshold and not self._holds(state.chart, J)):

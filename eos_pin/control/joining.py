@@ -122,10 +122,10 @@ def journey(plan: Plan, q: VectorLike, **options: Any) -> Journey:
         clock = Clock(0.0, plan.start)
         return Journey(plan, None, 0.0, PacedPath(plan.path, clock), PacedJoints(plan, clock), clock)
     task = plan.task
-    z0, z1 = task.value(joints), plan.path(plan.start).z
-    way = task.minus(z1, z0)
+    z0, z1 = task._value(joints), plan.path(plan.start).z
+    way = task._minus(z1, z0)
     parts = np.linspace(0.0, 1.0, POINTS)
-    points = np.array([task.plus(z0, part * way) for part in parts])
+    points = np.array([task._plus(z0, part * way) for part in parts])
     line = WaypointPath(task, points, parts)
     try:
         found = planned(task, line, closed=False, start=joints, end=begin, keep_time=False, **options)

@@ -165,7 +165,7 @@ class JointLimits:
             if first == 0:
                 why = "where it began"
             elif (np.abs(tau[recent, j]) >= USED_UP * self.torque[j]).any():
-                weight = max(abs(robot.gravity(row)[j]) for row in q[: first + 1])
+                weight = max(abs(robot._gravity(row)[j]) for row in q[: first + 1])
                 why = (
                     f"as its torque of {self.torque[j]:.3g} {unit} was used up (gravity took up to {weight:.3g} {unit})"
                 )
@@ -215,8 +215,8 @@ def guaranteed_deceleration(robot: Robot, torque: JointVector, *, seed: int = 0)
     speed = np.minimum(robot.velocity, np.pi)
     states = [(random.uniform(lower, upper), random.uniform(-speed, speed)) for _ in range(300)]
     # What gravity and Coriolis torques leave.
-    left = np.maximum(torque - np.abs([robot.bias(q, dq) for q, dq in states]), 0.0)
-    masses = np.abs([robot.mass(q) for q, _ in states])
+    left = np.maximum(torque - np.abs([robot._bias(q, dq) for q, dq in states]), 0.0)
+    masses = np.abs([robot._mass(q) for q, _ in states])
     alike = np.minimum((left / masses.sum(axis=2)).min(axis=0), 50.0)
     # Those were for all joints alike; with one for each, those that brake harder load the others more.
     loads = np.maximum(masses @ alike, 1e-12)
@@ -241,7 +241,7 @@ class LimitedEosController(EosController):
         reference: Trajectory of the task.
         self_motion: What the self-motion should do; by default hold v at its value at the start.
         limits: What to keep; by default the limits of the task's robot.
-        control_period: Control period [s].
+        control_period: Control period [s]; `simulate_sampled` takes it from here.
         kp: Gain on the task error, one number or (m,) [1/s²].
         kd: Gain on the task's velocity error, one number or (m,) [1/s].
         feedforward: Whether dz and ddz of the reference are used.
@@ -267,12 +267,12 @@ class LimitedEosController(EosController):
             task, reference, self_motion, kp=kp, kd=kd, feedforward=feedforward, gravity=gravity, atlas=atlas
         )
         self.limits = limits or JointLimits.from_robot(task.robot)
-        self.control_period = control_period
+        self.control_period: float = control_period
         self._smallest = SmallestChange(task.m, task.robot.n)
 
     def __setattr__(self, name: str, value: Any) -> None:
         super().__setattr__(name, number(value, "the control period", above=0.0) if name == "control_period" else value)
-        if name in ("limits", "control_period") and hasattr(self, "control_period"):
+        if name in ("limits", "control_period") and "control_period" in vars(self):
             self._viability = _Viability(self.limits, self.control_period)
         if name in ("limits", "control_period", "gravity"):
             # It holds copies.
@@ -317,7 +317,7 @@ class LimitedEosController(EosController):
         """
         model, n, torque = self._model, q.size, self.limits.torque
         most = self._viability(q, dq)
-        tau, change = model.inverse_dynamics(q, dq, ddq), np.zeros(n)
+        tau, change = model._inverse_dynamics(q, dq, ddq), np.zeros(n)
         part = tau / torque
         # Far from all limits nothing needs to be predicted.
         if part.dot(part) < 1.0 and (most - self._viability.sides.dot(ddq)).min() > CLEAR:
@@ -327,19 +327,19 @@ class LimitedEosController(EosController):
         # A held torque accelerates the joints, on average, as in the middle of the period.
         shift = np.minimum(np.maximum(ddq, least), most)
         middle, speed = self._middle(q, dq, shift)
-        mean = model.forward_dynamics(middle, speed, tau)
+        mean = model._forward_dynamics(middle, speed, tau)
         now = np.concatenate((mean, tau))
         if (lower <= now).all() and (now <= upper).all():
             return tau, change
         # So that without a change the middle stays where it is, and the torque is continuous.
         shift -= np.minimum(np.maximum(mean, least), most)
-        change = self._smallest(J, model.mass(middle), lower - now, upper - now)
+        change = self._smallest(J, model._mass(middle), lower - now, upper - now)
         # Where the middle is depends on the change.
         mean += change
         middle, speed = self._middle(q, dq, mean + shift)
-        tau = model.inverse_dynamics(middle, speed, mean)
+        tau = model._inverse_dynamics(middle, speed, mean)
         if (np.abs(tau) > torque).any():
-            now, M = np.concatenate((mean, tau)), model.mass(middle)
+            now, M = np.concatenate((mean, tau)), model._mass(middle)
             least, most = lower - now, upper - now
             # Who gives way to whom is settled.
             least[:n], most[:n] = np.minimum(least[:n], 0.0), np.maximum(most[:n], 0.0)

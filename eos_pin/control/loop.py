@@ -19,7 +19,7 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin._kernels.dispatch import use_compiled
-from eos_pin.control.base import Controller, TaskController
+from eos_pin.control.base import Controller, TaskController, agreed_period
 from eos_pin.errors import InputError, StateError
 from eos_pin.robot.model import Robot
 
@@ -44,6 +44,7 @@ class ControlLoop:
 
     Args:
         controller: The controller.
+        control_period: Period at which `step` is called [s], compared with the one that the controller is made for.
         torque_limits: Cut torques at these limits, (n,) [N m or N], infinite where there is none; True for those of the
             controller's robot.
         jump: Distance by which joints may move between two steps beyond what their velocities say [rad or m].
@@ -61,13 +62,15 @@ class ControlLoop:
         slowed: Whether the last torque was held back by `torque_rate`.
 
     Raises:
-        InputError: A limit or a time is out of its range, or of another size than the robot.
+        InputError: A limit or a time is out of its range, or of another size than the robot, or the controller is made
+            for another control period.
     """
 
     def __init__(
         self,
         controller: Controller,
         *,
+        control_period: float | None = None,
         torque_limits: bool | VectorLike = True,
         jump: float = 0.2,
         torque_rate: float | VectorLike | None = None,
@@ -79,7 +82,7 @@ class ControlLoop:
         self._before: StateMonitor | None
         self.saturated = self.slowed = False
         self._jump = math.inf if jump == math.inf else number(jump, "the largest jump", above=0.0)
-        self._given = torque_limits, torque_rate, first_torque
+        self._given, self._period = (torque_limits, torque_rate, first_torque), control_period
         soft_start = number(soft_start, "the time of a soft start", at_least=0.0)
         self._ramp = None if torque_rate is None and not soft_start else Ramp(soft_start)
         self._fit(controller)
@@ -117,6 +120,7 @@ class ControlLoop:
 
     def _fit(self, controller: Controller) -> None:
         """Take a controller, and what is limited for it, unless something does not fit."""
+        agreed_period(controller, self._period)
         robot: Robot | None = getattr(controller, "robot", None)
         limits, rate, first = self._given
         bounds: JointVector = np.array(np.inf)
@@ -188,7 +192,7 @@ class ControlLoop:
             return None
         q, dq = self._checked(q, "q"), self._checked(dq, "dq")
         if self._robot is not None:
-            q = self._robot.unwrap(q, self._watch.last[1])
+            q = self._robot._unwrap(q, self._watch.last[1])
         return self._controller.task_deficit(t, q, dq, self.state)
 
     def _cut(self, t: float, tau: JointVector) -> JointVector:
@@ -224,7 +228,7 @@ class ControlLoop:
         if self._robot is not None and self._robot.turns:
             with np.errstate(over="ignore"):
                 ahead = q_last + gap * dq
-            wrapped, q = q, self._robot.unwrap(q, ahead if np.isfinite(ahead).all() else q_last)
+            wrapped, q = q, self._robot._unwrap(q, ahead if np.isfinite(ahead).all() else q_last)
             behind = q - wrapped
             self._behind = behind if behind.any() else None
         # If it is a jump, the next state is believed if it is near this one.
@@ -290,7 +294,7 @@ class Ramp:
             tau: Torque that is asked for, within the limits.
         """
         soft = math.isnan(self._since) or t - self._since < self.soft_start
-        gravity = self.model.gravity(q) if soft and self.model is not None else np.zeros(tau.size)
+        gravity = self.model._gravity(q) if soft and self.model is not None else np.zeros(tau.size)
         if self._last is None:
             first = gravity if self.first is None else self.first
             self._last = t, np.minimum(np.maximum(first, -self.limits), self.limits)

@@ -14,11 +14,13 @@ from weakref import WeakSet
 
 from eos_pin._arrays import (
     JointVector,
+    NonNegative,
     SelfMotionVector,
     VectorLike,
-    as_floats,
     broadcast,
+    checked,
     frozen_copy,
+    gains,
     vector,
 )
 from eos_pin.charts.chart import Chart
@@ -82,7 +84,7 @@ class Track(Objective):
         if name == "reference" and value is not None and not isinstance(value, Trajectory):
             value = Hold(vector(value, None, "v_d"))
         elif name in ("kp", "kd"):
-            value = frozen_copy(as_floats(value, f"the self-motion gain {name}"))
+            value = frozen_copy(gains(value, None, f"the self-motion gain {name}"))
         if name not in ("reference", "kp", "kd"):
             super().__setattr__(name, value)
             return
@@ -122,11 +124,11 @@ class Track(Objective):
         kp, kd, reference = self.law(chart.r)
         if type(reference) is Hold:
             # The everyday case, without terms that are zero.
-            pull = kp * (reference.z - chart.v(q))
-            pull -= kd * chart.dv(dq)
+            pull = kp * (reference.z - chart._v(q))
+            pull -= kd * chart._dv(dq)
             return pull
         v_d, dv_d, ddv_d = reference(t)
-        return ddv_d + kd * (dv_d - chart.dv(dq)) + kp * (v_d - chart.v(q))
+        return ddv_d + kd * (dv_d - chart._dv(dq)) + kp * (v_d - chart._v(q))
 
     def target(self, t: float, r: int) -> Target:
         return self.law(r)[2](t)
@@ -135,6 +137,7 @@ class Track(Objective):
         self.law(r)
 
 
+@checked
 @dataclass(frozen=True)
 class Damp(Objective):
     """Bring the self-motion to rest wherever it is: F_v = −kd dv. With kd = 0, leave v alone (end of Sec. 6.2).
@@ -143,17 +146,17 @@ class Damp(Objective):
         kd: Damping [1/s].
     """
 
-    kd: float = 20.0
+    kd: NonNegative = 20.0
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        return -self.kd * chart.dv(dq)
+        return -self.kd * chart._dv(dq)
 
 
 def posture_value(law: Any, name: str, value: Any) -> Any:
     """A checked, read-only copy of what is assigned to q, kp or kd of a posture law; all else as it is."""
     if name == "q":
         return frozen_copy(vector(value, law.q.size if "q" in vars(law) else None, "the posture"))
-    return frozen_copy(broadcast(value, law.q.size, "a posture gain")) if name in ("kp", "kd") else value
+    return frozen_copy(gains(value, law.q.size, "a posture gain")) if name in ("kp", "kd") else value
 
 
 class Posture(Objective):
@@ -177,7 +180,7 @@ class Posture(Objective):
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         if self.q.size != q.size:
             self.check(q.size, chart.r)
-        return chart.dv(self.kp * chart.task.robot.way(q, self.q) - self.kd * dq)
+        return chart._dv(self.kp * chart.task.robot._way(q, self.q) - self.kd * dq)
 
     def check(self, n: int, r: int) -> None:
         if self.q.size != n:
@@ -206,7 +209,7 @@ class FollowJoints(Objective):
     ) -> None:
         self.joints = joints
         n = len(joints(0.0)[0])
-        self.kp, self.kd = (frozen_copy(broadcast(k, n, "a gain on joints")) for k in (kp, kd))
+        self.kp, self.kd = (frozen_copy(gains(k, n, "a gain on joints")) for k in (kp, kd))
         self._last: tuple[float, tuple[JointVector, JointVector, JointVector]] | None = None
 
     def at(self, t: float) -> tuple[JointVector, JointVector, JointVector]:
@@ -218,11 +221,11 @@ class FollowJoints(Objective):
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         q_d, dq_d, ddq_d = self.at(t)
-        return chart.dv(ddq_d + self.kd * (dq_d - dq) + self.kp * chart.task.robot.way(q, q_d))
+        return chart._dv(ddq_d + self.kd * (dq_d - dq) + self.kp * chart.task.robot._way(q, q_d))
 
     def target_on(self, t: float, chart: Chart) -> Target:
         q_d, dq_d, ddq_d = self.at(t)
-        return Target(chart.v(q_d), chart.dv(dq_d), chart.dv(ddq_d))
+        return Target(chart._v(q_d), chart._dv(dq_d), chart._dv(ddq_d))
 
     def distance(self, t: float, q: JointVector) -> float:
         """Largest difference of a joint from where it should be [rad or m]."""
@@ -233,6 +236,7 @@ class FollowJoints(Objective):
             raise InputError(f"the joints to follow are {self.kp.size}, the robot has {n}")
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class ReduceKineticEnergy(Objective):
     """Lower the kinetic energy T: F_v = −gain Vᵀ∇T; Eq. (39).
@@ -245,7 +249,7 @@ class ReduceKineticEnergy(Objective):
     """
 
     robot: Robot
-    gain: float = 1.0
+    gain: NonNegative = 1.0
     gradient: Literal["velocity", "configuration"] = "velocity"
 
     def __post_init__(self) -> None:
@@ -254,13 +258,13 @@ class ReduceKineticEnergy(Objective):
             raise InputError(f"gradient must be 'velocity' or 'configuration', got {self.gradient!r}")
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        return -self.gain * chart.dv(self.energy_gradient(q, dq))
+        return -self.gain * chart._dv(self.energy_gradient(q, dq))
 
     def energy_gradient(self, q: JointVector, dq: JointVector) -> JointVector:
         """∇T, (n,)."""
         if self.gradient == "velocity":
-            return self._unloaded.inverse_dynamics(q, 0.0 * dq, dq)  # M dq
-        return self.robot.energy_slope(q, dq)
+            return self._unloaded._inverse_dynamics(q, 0.0 * dq, dq)  # M dq
+        return self.robot._energy_slope(q, dq)
 
     @cached_property
     def _unloaded(self) -> Robot:
@@ -268,6 +272,7 @@ class ReduceKineticEnergy(Objective):
         return self.robot.with_gravity(0.0)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class DescendPotential(Objective):
     """Descend a potential U_p of the joints: F_v = −gain Vᵀ∇U_p − kd dv; Eq. (41), where kd is 0.
@@ -279,11 +284,11 @@ class DescendPotential(Objective):
     """
 
     gradient: Callable[[JointVector], JointVector]
-    gain: float = 1.0
-    kd: float = 0.0
+    gain: NonNegative = 1.0
+    kd: NonNegative = 0.0
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        return chart.dv(-self.gain * self.gradient(q) - self.kd * dq)
+        return chart._dv(-self.gain * self.gradient(q) - self.kd * dq)
 
 
 class SumObjective(Objective):

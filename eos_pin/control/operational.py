@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lapack
 
-from eos_pin._arrays import JointVector, VectorLike
+from eos_pin._arrays import JointVector, NonNegative, VectorLike, checked
 from eos_pin.charts._basis import RANK_TOLERANCE, check_rank
 from eos_pin.control.base import TaskController
 from eos_pin.control.objectives import ReduceKineticEnergy, posture_value
@@ -64,6 +64,7 @@ class EnergyNullSpace(NullSpaceLaw):
         return -self.objective.gain * self.objective.energy_gradient(q, dq)
 
 
+@checked
 @dataclass(frozen=True)
 class DampedNullSpace(NullSpaceLaw):
     """Joint damping M (−kd dq) in the null space.
@@ -72,10 +73,10 @@ class DampedNullSpace(NullSpaceLaw):
         kd: Damping [1/s].
     """
 
-    kd: float = 20.0
+    kd: NonNegative = 20.0
 
     def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
-        return robot.mass(q) @ (-self.kd * dq)
+        return robot._mass(q) @ (-self.kd * dq)
 
 
 class PostureNullSpace(NullSpaceLaw):
@@ -99,7 +100,7 @@ class PostureNullSpace(NullSpaceLaw):
     def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
         if self.q.size != robot.n:
             raise InputError(f"the posture has {self.q.size} joints, {robot.name!r} has {robot.n}")
-        return robot.mass(q) @ (self.kp * robot.way(q, self.q) - self.kd * dq)
+        return robot._mass(q) @ (self.kp * robot._way(q, self.q) - self.kd * dq)
 
 
 class OperationalSpaceController(TaskController):
@@ -139,24 +140,24 @@ class OperationalSpaceController(TaskController):
         }
 
     def torque(self, t: float, q: JointVector, dq: JointVector, state: Any) -> JointVector:
-        point, model = self.task.at(q, dq), self._model
+        point, model = self.task._at(q, dq), self._model
         ddz = self.task_acceleration(t, point)
         if self.drift:
             ddz = ddz - point.drift
         # The torque is G'ᵀΛ(ddz + G'M⁻¹(bias − F⁰)) + F⁰, with M = LLᵀ and Y = M⁻¹G'ᵀ, so that Λ = (G'Y)⁻¹. OpenBLAS
         # starts its threads for dtrtrs whatever the size, which can take a thousand times as long; not for dpotrs.
-        bias = model.bias(q, dq)
+        bias = model._bias(q, dq)
         null = self.null_space.torque(model, q, dq)
         if self.null_space.compensates:
             null = null + bias
-        L, _ = lapack.dpotrf(model.mass(q), lower=1)
+        L, _ = lapack.dpotrf(model._mass(q), lower=1)
         Y, _ = lapack.dpotrs(L, point.J.T, lower=1)
         R, force, info = lapack.dposv(point.J.dot(Y), ddz + Y.T.dot(bias - null))
         diagonal = R.diagonal().tolist()
         if info or min(diagonal) <= RANK_TOLERANCE * max(diagonal):
             check_rank(point.J)
         if info:
-            raise SingularError("the task is singular here: its mass matrix Λ does not exist", 0, ())
+            raise SingularError("the task is singular here: its mass matrix Λ does not exist")
         return point.J.T.dot(force) + null
 
 

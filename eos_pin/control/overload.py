@@ -20,13 +20,13 @@ def gravity_overload(robot: Robot, q: JointVector | None = None, torque: JointVe
     most = robot.effort if torque is None else torque
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     try:
-        robot.gravity(0.5 * (lower + upper))
+        robot._gravity(0.5 * (lower + upper))
     except RobotError:
         # Without inertia gravity is not known.
         return ()
     random = np.random.default_rng(0)
-    tried = np.abs([robot.gravity(lower + (upper - lower) * random.random(robot.n)) for _ in range(200)]).max(axis=0)
-    now = np.zeros(robot.n) if q is None else np.abs(robot.gravity(q))
+    tried = np.abs([robot._gravity(lower + (upper - lower) * random.random(robot.n)) for _ in range(200)]).max(axis=0)
+    now = np.zeros(robot.n) if q is None else np.abs(robot._gravity(q))
     notes = []
     for joint, start, anywhere, limit in zip(robot.joints, now, tried, most, strict=True):
         unit = "N" if joint.kind == "prismatic" else "N m"

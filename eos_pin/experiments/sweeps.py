@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from eos_pin._files import write_atomically
-from eos_pin.errors import EosError, InputError, OutputError
+from eos_pin.errors import EosError, InputError, MissingDependencyError
 from eos_pin.experiments.trial import Row, Trial
 from eos_pin.simulation._recorder import uninterrupted
 
@@ -136,7 +136,9 @@ def _to_parquet(rows: Sequence[Row], file: IO[bytes]) -> None:
     try:
         from pyarrow import Table, parquet
     except ImportError as error:
-        raise OutputError("Parquet needs pyarrow: pip install 'eos-pin[parquet]', or write .csv") from error
+        raise MissingDependencyError(
+            "a Parquet file", "pyarrow", "pip install 'eos-pin[parquet]'", ", or write .csv"
+        ) from error
     parquet.write_table(Table.from_pydict({name: [row.get(name) for row in rows] for name in _columns(rows)}), file)
 
 

@@ -20,6 +20,7 @@ from eos_pin._arrays import (
     Array,
     JointVector,
     VectorLike,
+    by_identity,
     number,
     vector,
 )
@@ -67,6 +68,7 @@ class Obstacle:
         return pin.SE3(np.eye(3), vector(placement, 3, f"position of {self.name!r}"))
 
 
+@by_identity
 class ClosestPair(NamedTuple):
     """The shortest way between one body and one obstacle.
 

@@ -128,7 +128,7 @@ class Plan:
         ahead = dS + dC @ bend
         rate = _solved(lu, dz - J @ ahead)
         dq = ahead + C @ rate
-        drift = self.task.at(q, dq).drift
+        drift = self.task._at(q, dq).drift
         ahead = dds_plus(ddS, ddC, dC, bend, rate)
         ddq = ahead + C @ _solved(lu, ddz - drift - J @ ahead)
         if not self.closed and not self.start <= t <= self.end:
@@ -138,8 +138,8 @@ class Plan:
     def _on_path(self, S: Array, C: Array, z: Array, t: float) -> tuple[Array, Array, Any, Array]:
         q, bend, last = S, np.zeros(self.task.m), np.inf
         for _ in range(MOST_STEPS):
-            z_q, J = self.task.linearize(q)
-            error = self.task.minus(z, z_q)
+            z_q, J = self.task._linearize(q)
+            error = self.task._minus(z, z_q)
             size = float(np.abs(error).max())
             lu = lapack.dgetrf(J @ C)
             if size <= EXACT or (size < 1e-9 and size > 0.3 * last):

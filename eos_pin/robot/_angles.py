@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eos_pin._arrays import Array, JointVector, frozen_copy
+from eos_pin._arrays import Array, Checked, JointVector, checked, frozen_copy, unchecked
 
 #: Part of half a turn from which on a posture draws a continuous joint less, down to nothing where it is opposite.
 OPPOSITE = 0.75
@@ -17,7 +17,7 @@ OPPOSITE = 0.75
 UNLIMITED = 1e30
 
 
-class Angles:
+class Angles(Checked):
     """A robot some of whose joints may be continuous.
 
     Attributes:
@@ -44,6 +44,7 @@ class Angles:
         """Angle after which each joint is where it was; 0 where there is none."""
         return np.where(self.continuous, math.tau, 0.0)
 
+    @checked
     def unwrap(self, q: Float[Array, "*rows n"], near: Float[Array, "*others n"]) -> Float[Array, "*all n"]:
         """The same configurations, continuous joints by the angle nearest to another one.
 
@@ -55,6 +56,7 @@ class Angles:
         """
         return q - self._turn * np.round((q - near) / math.tau) if self.turns else q
 
+    @checked
     def way(self, q: Float[Array, "*rows n"], goal: JointVector) -> Float[Array, "*rows n"]:
         """Pull towards a posture: `goal` − q, for continuous joints the shorter way round.
 
@@ -66,7 +68,9 @@ class Angles:
         """
         if not self.turns:
             return goal - q
-        away = self.unwrap(goal - q, np.zeros_like(goal))
+        away = self._unwrap(goal - q, np.zeros_like(goal))
         size = np.abs(away)
         faded = np.minimum(size, (math.pi - size) * (OPPOSITE / (1.0 - OPPOSITE)))
         return np.where(self.continuous, np.copysign(faded, away), away)
+
+    _unwrap, _way = unchecked(unwrap), unchecked(way)

@@ -19,8 +19,10 @@ from eos_pin._arrays import (
     Array,
     JointVector,
     VectorLike,
+    checked,
     frozen_copy,
     number,
+    unchecked,
     vector,
 )
 from eos_pin.errors import RobotError, UnknownNameError
@@ -246,44 +248,64 @@ class Robot(Angles):
             )
         return ""
 
+    @checked
     def mass(self, q: JointVector) -> Float[Array, "n n"]:
         """Mass matrix M(q), symmetric; Eq. (5)."""
         return pin.crba(self.model, self._dynamics, q, pin.Convention.WORLD)
 
+    @checked
     def bias(self, q: JointVector, dq: JointVector) -> JointVector:
         """Coriolis, centrifugal and gravity torque C(q, dq) dq + g(q) = −R [N m or N]; R as in Eq. (24)."""
         return pin.nonLinearEffects(self.model, self._dynamics, q, dq)
 
+    @checked
     def gravity(self, q: JointVector) -> JointVector:
         """Gravity torque g(q) = −Q^y [N m or N]; Eq. (5)."""
         return pin.computeGeneralizedGravity(self.model, self._dynamics, q)
 
+    @checked
     def inverse_dynamics(self, q: JointVector, dq: JointVector, ddq: JointVector) -> JointVector:
         """Torque M ddq − R that causes the acceleration `ddq` [N m or N]; Eq. (24) without F^z."""
         return pin.rnea(self.model, self._dynamics, q, dq, ddq)
 
+    @checked
     def forward_dynamics(self, q: JointVector, dq: JointVector, tau: JointVector) -> JointVector:
         """Acceleration M⁻¹ (R + tau) [rad/s² or m/s²]; Eq. (31). Add J.T @ F^z to `tau` for a force on the task."""
         return pin.aba(self.model, self._dynamics, q, dq, tau)
 
+    @checked
     def kinetic_energy(self, q: JointVector, dq: JointVector) -> float:
         """Kinetic energy ½ dqᵀ M dq [J]."""
         return float(pin.computeKineticEnergy(self.model, self._dynamics, q, dq))
 
+    @checked
     def potential_energy(self, q: JointVector) -> float:
         """Potential energy of gravity [J]."""
         return float(pin.computePotentialEnergy(self.model, self._dynamics, q))
 
+    @checked
     def energy_slope(self, q: JointVector, dq: JointVector) -> JointVector:
         """Slope ∂T/∂q of the kinetic energy at constant dq [N m or N]."""
         # Ṁ = C + Cᵀ and C dq = Ṁ dq − ∂T/∂q leave Cᵀ dq.
         return pin.computeCoriolisMatrix(self.model, self._dynamics, q, dq).T @ dq
 
+    @checked
     def placement(self, q: JointVector, frame: str) -> pin.SE3:
         """Pose of `frame` in the world."""
         i = self.frame_id(frame)
         pin.forwardKinematics(self.model, self._data, q)
         return pin.updateFramePlacement(self.model, self._data, i).copy()
+
+    # -- the same without checks, for inner loops ----------------------------------------------------------------------
+
+    _mass = unchecked(mass)
+    _bias = unchecked(bias)
+    _gravity = unchecked(gravity)
+    _inverse_dynamics = unchecked(inverse_dynamics)
+    _forward_dynamics = unchecked(forward_dynamics)
+    _kinetic_energy = unchecked(kinetic_energy)
+    _potential_energy = unchecked(potential_energy)
+    _energy_slope = unchecked(energy_slope)
 
     # -- variations ----------------------------------------------------------------------------------------------
 
@@ -300,6 +322,7 @@ class Robot(Angles):
         model.gravity = pin.Motion(field, np.zeros(3))
         return replace(self, model=model, options={**self.options, "gravity": field.tolist()})
 
+    @checked
     def perturbed(self, *, mass: float = 0.0, com: float = 0.0, inertia: float = 0.0, seed: int = 0) -> Robot:
         """Copy with a random model error, to be the plant of a controller that does not know it.
 

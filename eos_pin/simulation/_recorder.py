@@ -144,7 +144,7 @@ class Recorder:
             tau=np.array(tau),
             **self._self_motion(),
             **self._task(task),
-            kinetic_energy=np.array([plant.kinetic_energy(a, b) for a, b in zip(q, dq, strict=True)]),
+            kinetic_energy=np.array([plant._kinetic_energy(a, b) for a, b in zip(q, dq, strict=True)]),
             work=np.array(work),
             switches=np.array(self.switches, dtype=float),
             period=self.system.reference_period,
@@ -194,12 +194,12 @@ class Recorder:
             return {name: np.zeros((len(rows), 0)) for name in _TASK_COLUMNS}
         reference, nothing = getattr(controller, "reference", None), np.zeros(task.m)
         # The plant's kinematics are those of the controller's model, which may differ in inertia only.
-        done = [row.task or (*task.at(row.q, row.dq)[::2], nothing, nothing) for row in rows]
+        done = [row.task or (*task._at(row.q, row.dq)[::2], nothing, nothing) for row in rows]
         z, dz, singular, limited = map(np.array, zip(*done, strict=True))
         z_ref, error = np.full_like(z, np.nan), np.full_like(dz, np.nan)
         if reference is not None:
             z_ref = np.array([reference(row.t).z for row in rows])
-            error = np.array(list(map(task.minus, z_ref, z)))
+            error = np.array(list(map(task._minus, z_ref, z)))
         forces = np.array([force.force(row.t) for row in rows], dtype=float) if force else np.zeros_like(dz)
         return dict(zip(_TASK_COLUMNS, (z, dz, z_ref, error, forces, singular + limited, limited), strict=True))
 
@@ -264,8 +264,8 @@ def joint_run(
     rest, still = np.zeros(len(t)), np.zeros((len(t), robot.n))
     v = np.zeros((len(t), 0)) if v is None else v
     chart = np.zeros(len(t), dtype=np.int64) if chart is None else chart
-    reached = np.array([task.value(row) for row in q]).reshape(len(t), task.size)
-    error = np.array([task.minus(a, b) for a, b in zip(z, reached, strict=True)]).reshape(len(t), task.m)
+    reached = np.array([task._value(row) for row in q]).reshape(len(t), task.size)
+    error = np.array([task._minus(a, b) for a, b in zip(z, reached, strict=True)]).reshape(len(t), task.m)
     info = {"robot": _record(robot), "task": task.describe(), "controller": {"kind": "Kinematics"}, "arguments": {}}
     info["limits"] = limits_of(robot, moving=False)
     return Result(

@@ -70,7 +70,7 @@ class System(ABC):
         """Acceleration of the plant under all torques that act on it, and the power they bring in [W]."""
         if self.disturbed:
             tau = self.acting(t, q, dq, tau)
-        return self.plant.forward_dynamics(q, dq, tau), tau.dot(dq)
+        return self.plant._forward_dynamics(q, dq, tau), tau.dot(dq)
 
     def acting(self, t: float, q: JointVector, dq: JointVector, tau: JointVector) -> JointVector:
         """The controller's torque with the task force and friction."""
@@ -116,7 +116,7 @@ class JointSystem(System):
             tau = self.controller.torque(t, q, dq, self.state)
         if self.disturbed:
             tau = self.acting(t, q, dq, tau)
-        return state_rate(dq, self.plant.forward_dynamics(q, dq, tau), tau)
+        return state_rate(dq, self.plant._forward_dynamics(q, dq, tau), tau)
 
     def advance(self, t: float, x: Vector, tau: JointVector, length: float, substeps: int) -> Vector:
         """State after `length` seconds under a held torque, in `substeps` steps of the plant."""
@@ -175,21 +175,21 @@ class ExtendedSystem(System):
     def _enter(self, dq: JointVector, work: float) -> Vector:
         chart, task = self.chart, self.atlas.task
         self._near = Inverse(chart.q_bar, np.zeros(chart.m), chart.B_bar, 0, 0.0)
-        dz = task.linearize(chart.q_bar)[1] @ dq
-        return np.concatenate((np.zeros(chart.m), chart.v_bar, dz, chart.dv(dq), [work]))
+        dz = task._linearize(chart.q_bar)[1] @ dq
+        return np.concatenate((np.zeros(chart.m), chart.v_bar, dz, chart._dv(dq), [work]))
 
     def rhs(self, t: float, x: Vector) -> Vector:
         chart, task = self.chart, self.atlas.task
         n, m = chart.n, chart.m
         q, dq = self.joints(x)
         ddq, power = self.accelerate(t, q, dq, self.controller.torque(t, q, dq, self.state))
-        point = task.at(q, dq)
+        point = task._at(q, dq)
         dx = np.empty(2 * n + 1)
-        dx[:m] = task.local_rate(x[:m], x[n : n + m])
+        dx[:m] = task._local_rate(x[:m], x[n : n + m])
         dx[m:n] = x[n + m : 2 * n]
         # ddw = H⁻¹ (ddq − E), H⁻¹ = [G'; Vᵀ], −H⁻¹E = (Ġ' dq, 0)
         dx[n : n + m] = point.J.dot(ddq) + point.drift
-        dx[n + m : 2 * n] = chart.dv(ddq)
+        dx[n + m : 2 * n] = chart._dv(ddq)
         dx[-1] = power
         return dx
 
@@ -198,26 +198,26 @@ class ExtendedSystem(System):
         chart, task = self.chart, self.atlas.task
         n, m = chart.n, chart.m
         # dq = H dw without H: [G'; Vᵀ] dq = dw
-        return q, chart.acceleration(task.linearize(q)[1], x[n : n + m], x[n + m : 2 * n])
+        return q, chart._acceleration(task._linearize(q)[1], x[n : n + m], x[n + m : 2 * n])
 
     def _inverse(self, x: Vector) -> Inverse:
         m, n = self.chart.m, self.chart.n
         chart, task = self.chart, self.atlas.task
-        z = task.plus(chart.z_bar, x[:m])
-        found = chart.inverse(z, x[m:n], start=self._near, tol=1e-13)
+        z = task._plus(chart.z_bar, x[:m])
+        found = chart._inverse(z, x[m:n], start=self._near, tol=1e-13)
         # To rounding: an integrator takes what is left for motion.
-        u = found.u + found.B.dot(task.minus(task.value(found.q), z))
-        return found._replace(q=chart.q(x[m:n], u), u=u)
+        u = found.u + found.B.dot(task._minus(task._value(found.q), z))
+        return found._replace(q=chart._q(x[m:n], u), u=u)
 
     def switch_function(self, t: float, x: Vector) -> float:
         # Newton's method starts from the last state that was accepted, never from one that was only tried.
         self._near = self._inverse(x)
         q, dq = self.joints(x)
-        _, J = self.atlas.task.linearize(q)
+        _, J = self.atlas.task._linearize(q)
         return min(
-            self.chart.margin(J, enough=self.atlas.threshold) - self.atlas.threshold,
-            self.atlas.task.local_margin(x[: self.chart.m]),
-            self.chart.room(q),
+            self.chart._margin(J, enough=self.atlas.threshold) - self.atlas.threshold,
+            self.atlas.task._local_margin(x[: self.chart.m]),
+            self.chart._room(q),
             self.controller.validity(t, q, dq, self.state),
         )
 

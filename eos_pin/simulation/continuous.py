@@ -209,7 +209,7 @@ def _check_speed(system: System, t: float, x: Vector) -> None:
         return
     task = getattr(system.controller, "task", None)
     if task is not None and math.isfinite(x.dot(x)):
-        values = np.linalg.svd(task.linearize(q)[1], compute_uv=False)
+        values = np.linalg.svd(task._linearize(q)[1], compute_uv=False)
         if values[-1] < NEARLY_SINGULAR * values[0]:
             raise Stop(
                 "singular",

@@ -10,8 +10,10 @@ import numpy as np
 
 from eos_pin._arrays import (
     JointVector,
+    NonNegative,
     VectorLike,
     broadcast,
+    checked,
     frozen_copy,
     number,
 )
@@ -19,7 +21,8 @@ from eos_pin.errors import InputError
 from eos_pin.tasks.base import Task
 
 
-@dataclass(frozen=True)
+@checked
+@dataclass(frozen=True, eq=False)
 class TaskForce:
     """A force of the environment on a task, F^z of Eq. (24).
 
@@ -33,7 +36,7 @@ class TaskForce:
 
     def torque(self, t: float, q: JointVector) -> JointVector:
         """Joint torques G'ᵀF^z that it is worth [N m or N]."""
-        return self.task.linearize(q)[1].T @ np.asarray(self.force(t), dtype=float)
+        return self.task._linearize(q)[1].T @ np.asarray(self.force(t), dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +73,7 @@ class Friction:
         return {"viscous": viscous, "coulomb": coulomb, "speed": self.speed}
 
 
+@checked
 @dataclass(frozen=True)
 class SensorNoise:
     """Normally distributed errors of what the controller measures.
@@ -79,5 +83,5 @@ class SensorNoise:
         dq: Standard deviation of the joint velocities [rad/s or m/s].
     """
 
-    q: float = 0.0
-    dq: float = 0.0
+    q: NonNegative = 0.0
+    dq: NonNegative = 0.0

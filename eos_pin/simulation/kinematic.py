@@ -33,11 +33,11 @@ def rate_control(task: Task, path: Trajectory, q: JointsLike, *, duration: float
     from scipy.integrate import solve_ivp
 
     def velocity(t: float, q: JointVector) -> JointVector:
-        _, J = task.linearize(q)
+        _, J = task._linearize(q)
         try:
             return np.linalg.pinv(J) @ path(t).dz
         except np.linalg.LinAlgError:
-            raise SingularError(f"the task is singular at t = {t:.4g} s; try a smaller path", 0, ()) from None
+            raise SingularError(f"the task is singular at t = {t:.4g} s; try a smaller path") from None
 
     number(rtol, "rtol", above=0.0)
     q = task.robot.posture(q, "q at the start")

@@ -21,7 +21,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from eos_pin._arrays import Array, JointVector
-from eos_pin.errors import InputError
+from eos_pin.errors import InputError, MissingDependencyError
 from eos_pin.robot.model import Robot
 
 Integrator: TypeAlias = Literal["RK4", "Euler", "implicit", "implicitfast"]
@@ -39,7 +39,8 @@ class MujocoPlant(Robot):
             that are implicit in the velocity.
 
     Raises:
-        InputError: MuJoCo is not installed, or has no such integrator or joint.
+        MissingDependencyError: MuJoCo is not installed.
+        InputError: MuJoCo has no such integrator or joint.
         RobotError: The robot lacks mass.
     """
 
@@ -124,7 +125,7 @@ def _import_mujoco() -> ModuleType:
     try:
         import mujoco
     except ImportError as error:
-        raise InputError("a MuJoCo plant needs MuJoCo; install it by: pip install 'eos-pin[mujoco]'") from error
+        raise MissingDependencyError("a MujocoPlant", "mujoco", "pip install 'eos-pin[mujoco]'") from error
     return mujoco
 
 

@@ -250,8 +250,8 @@ class Result:
             ResultError: The plant cannot be loaded again (it was made in memory): hand it over.
         """
         robot = robot or self.load_plant()
-        torque = np.array([robot.inverse_dynamics(*row) for row in zip(self.q, self.dq, self.ddq, strict=True)])
-        bias = np.array([robot.bias(*row) for row in zip(self.q, self.dq, strict=True)])
+        torque = np.array([robot._inverse_dynamics(*row) for row in zip(self.q, self.dq, self.ddq, strict=True)])
+        bias = np.array([robot._bias(*row) for row in zip(self.q, self.dq, strict=True)])
         torque -= self.tau
         friction = self.info.get("arguments", {}).get("friction")
         if friction:
@@ -260,13 +260,13 @@ class Result:
         if self.info.get("task"):
             task = task_from_description(robot, self.info["task"])
             rows = zip(self.q, self.z, strict=True)
-            found["task"] = _largest(np.array([task.minus(z, task.value(q)) for q, z in rows]))
+            found["task"] = _largest(np.array([task._minus(z, task._value(q)) for q, z in rows]))
         if self.info.get("force_task"):
             pushed = task_from_description(robot, self.info["force_task"])
             rows = zip(self.q, self.task_force, strict=True)
             torque -= np.array([pushed.linearize(q)[1].T @ f for q, f in rows])
         energy = np.array(
-            [robot.kinetic_energy(q, dq) + robot.potential_energy(q) for q, dq in zip(self.q, self.dq, strict=True)]
+            [robot._kinetic_energy(q, dq) + robot._potential_energy(q) for q, dq in zip(self.q, self.dq, strict=True)]
         )
         scale = max(np.ptp(energy), np.ptp(self.work), self.kinetic_energy.max(), 1e-12)
         found["torque"] = _largest(torque) / max(_largest(self.tau), _largest(bias), 1e-12)

@@ -13,7 +13,7 @@ from eos_pin._arrays import (
     broadcast,
     number,
 )
-from eos_pin.control.base import Controller
+from eos_pin.control.base import Controller, agreed_period
 from eos_pin.control.loop import ControlLoop
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
@@ -24,6 +24,9 @@ from eos_pin.simulation.continuous import MOST_PERIODS, _check_speed, _state
 from eos_pin.simulation.disturbances import Friction, SensorNoise, TaskForce
 from eos_pin.simulation.result import Result
 
+#: Control period where neither the run nor its controller has one [s].
+CONTROL_PERIOD = 1e-3
+
 
 def simulate_sampled(
     plant: Robot,
@@ -32,13 +35,13 @@ def simulate_sampled(
     dq: JointsLike | None = None,
     *,
     duration: float,
-    control_period: float = 1e-3,
+    control_period: float | None = None,
     substeps: int = 1,
     noise: SensorNoise | None = None,
     delay: float = 0.0,
     dropout: float = 0.0,
     friction: Friction | None = None,
-    torque_limits: bool | VectorLike = False,
+    torque_limits: bool | VectorLike = True,
     torque_rate: float | VectorLike | None = None,
     soft_start: float = 0.0,
     record_rate: float = 100.0,
@@ -54,13 +57,14 @@ def simulate_sampled(
         q: Joints at the start, (n,), or some of them by name; others are as near 0 as their limits allow.
         dq: Joint velocities at the start, at rest by default.
         duration: Length of the run [s].
-        control_period: Control period [s].
+        control_period: Control period [s]; by default the one that the controller is made for, or 1e-3.
         substeps: Steps of the plant in each period, by the Runge–Kutta method of order 4 or its own.
         noise: Errors of the measured state.
         delay: Age of the state that the controller sees [s], rounded to whole periods.
         dropout: Probability that the controller misses a period, and the torque of the last one stays.
         friction: Friction in the joints of the plant, which no controller knows.
-        torque_limits: Clip the torque: True at the plant's own limits, or at limits of your own, (n,) [N m or N].
+        torque_limits: Cut the torque: True at the plant's own limits, as `ControlLoop` does at the robot's, False for
+            none, or limits of your own, (n,) [N m or N].
         torque_rate: Most that a torque changes in a second, one number or (n,), see `ControlLoop` [N m/s or N/s].
         soft_start: Time in which the torque goes over from that of gravity to the controller's [s].
         record_rate: Samples kept per second, besides the exact multiples of the reference's period.
@@ -69,11 +73,11 @@ def simulate_sampled(
         observer: Called with (t, q) of every sample.
 
     Raises:
-        InputError: Wrong arguments.
+        InputError: Wrong arguments, or another control period than the controller is made for.
         SingularError: The task is singular at the start.
     """
     q, dq = _state(plant, q, dq)
-    period = number(control_period, "the control period", above=0.0)
+    period = agreed_period(controller, control_period) or CONTROL_PERIOD
     lag = round(number(delay, "the delay", at_least=0.0) / period)
     duration = number(duration, "the duration", above=0.0)
     if max(duration / period * substeps, lag) > MOST_PERIODS:

@@ -19,10 +19,14 @@ import pinocchio as pin
 
 from eos_pin._arrays import (
     Array,
+    Checked,
     Jacobian,
     JointVector,
     TaskVector,
     as_floats,
+    by_identity,
+    checked,
+    unchecked,
     vector,
 )
 from eos_pin._kernels.flat import Part
@@ -41,6 +45,7 @@ WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 _KINDS: dict[str, type[Task]] = {}
 
 
+@by_identity
 class TaskPoint(NamedTuple):
     """A task and its derivatives at one state.
 
@@ -61,7 +66,7 @@ class TaskPoint(NamedTuple):
 _task_point = partial(tuple.__new__, TaskPoint)
 
 
-class Task(ABC):
+class Task(Checked, ABC):
     """A smooth function z = G(q) of the joints with its first two derivatives.
 
     Attributes:
@@ -107,6 +112,7 @@ class Task(ABC):
 
     # -- one pass over Pinocchio for each order of derivative -------------------------------------------------------
 
+    @checked
     def value(self, q: JointVector) -> Point:
         """Task point z = G(q); Eq. (1)."""
         pin.forwardKinematics(self._model, self._data, q)
@@ -114,6 +120,7 @@ class Task(ABC):
             pin.updateFramePlacements(self._model, self._data)
         return self._z(self._data)
 
+    @checked
     def linearize(self, q: JointVector) -> tuple[Point, Jacobian]:
         """Task point z and Jacobian J = G'(q), (m, n); Eq. (2)."""
         pin.computeJointJacobians(self._model, self._data, q)
@@ -121,6 +128,7 @@ class Task(ABC):
             pin.updateFramePlacements(self._model, self._data)
         return self._z(self._data), self._matrix(self._J(self._data))
 
+    @checked
     def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
         """Task point, Jacobian, velocity and drift at the state (q, dq)."""
         model, data = self._model, self._data
@@ -166,18 +174,22 @@ class Task(ABC):
 
     # -- the group the points live in; a vector space unless a task says otherwise ----------------------------------
 
+    @checked
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         """Step that leads from z0 to z1 [m, rad]; `plus` undoes it."""
         return z1 - z0
 
+    @checked
     def plus(self, z: Point, delta: TaskVector) -> Point:
         """Point reached from z by the step `delta` [m, rad]."""
         return z + delta
 
+    @checked
     def local_rate(self, delta: TaskVector, dz: TaskVector) -> TaskVector:
         """Time derivative of the local coordinates `delta = minus(z, z_bar)` where z moves with velocity dz."""
         return dz
 
+    @checked
     def local_margin(self, delta: TaskVector) -> float:
         """Positive where `delta` is well inside the domain of the local coordinates; 1 at its centre."""
         return 1.0
@@ -201,6 +213,16 @@ class Task(ABC):
             InputError: Not joints of this robot.
         """
         return Hold(self.value(self.robot.posture(q)), self.m)
+
+    # -- the same without checks, for inner loops ----------------------------------------------------------------------
+
+    _value = unchecked(value)
+    _linearize = unchecked(linearize)
+    _at = unchecked(at)
+    _minus = unchecked(minus)
+    _plus = unchecked(plus)
+    _local_rate = unchecked(local_rate)
+    _local_margin = unchecked(local_margin)
 
     # -- identity ----------------------------------------------------------------------------------------------------
 
@@ -255,16 +277,16 @@ class StackedTask(Task, kind="stacked"):
         return None if None in parts else tuple(part for some in parts for part in some or ())
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
-        return np.concatenate([task.minus(z1[p], z0[p]) for task, p, _ in self._slices])
+        return np.concatenate([task._minus(z1[p], z0[p]) for task, p, _ in self._slices])
 
     def plus(self, z: Point, delta: TaskVector) -> Point:
-        return np.concatenate([task.plus(z[p], delta[d]) for task, p, d in self._slices])
+        return np.concatenate([task._plus(z[p], delta[d]) for task, p, d in self._slices])
 
     def local_rate(self, delta: TaskVector, dz: TaskVector) -> TaskVector:
-        return np.concatenate([task.local_rate(delta[d], dz[d]) for task, _, d in self._slices])
+        return np.concatenate([task._local_rate(delta[d], dz[d]) for task, _, d in self._slices])
 
     def local_margin(self, delta: TaskVector) -> float:
-        return min(task.local_margin(delta[d]) for task, _, d in self._slices)
+        return min(task._local_margin(delta[d]) for task, _, d in self._slices)
 
     def point(self, value: PointLike) -> Point:
         name = f"a point of {self!r}"

@@ -143,8 +143,8 @@ class Manifold:
         error, J = np.empty((self.m, K)), np.empty((self.m, self.n, K))
         Z = np.broadcast_to(Z, (Z.shape[0], K))
         for k in range(K):
-            z, J[:, :, k] = self.task.linearize(np.ascontiguousarray(Q[:, k]))
-            error[:, k] = self.task.minus(np.ascontiguousarray(Z[:, k]), z)
+            z, J[:, :, k] = self.task._linearize(np.ascontiguousarray(Q[:, k]))
+            error[:, k] = self.task._minus(np.ascontiguousarray(Z[:, k]), z)
         return error, J
 
     def jacobians(self, Q: Float[Array, "n K"], Z: Float[Array, "size #K"]) -> Float[Array, "m n K"]:

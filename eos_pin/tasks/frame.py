@@ -52,10 +52,10 @@ class FrameTask(Task):
         return kernels and kernels.Frame(*where)
 
     def value(self, q: JointVector) -> Point:
-        return self.compiled.value(q) if self.compiled else super().value(q)
+        return self.compiled.value(q) if self.compiled else super()._value(q)
 
     def linearize(self, q: JointVector) -> tuple[Point, Jacobian]:
-        return self.compiled.linearize(q) if self.compiled else super().linearize(q)
+        return self.compiled.linearize(q) if self.compiled else super()._linearize(q)
 
     def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
-        return self.compiled.at(q, dq) if self.compiled else super().at(q, dq)
+        return self.compiled.at(q, dq) if self.compiled else super()._at(q, dq)

@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eos_pin._arrays import JointVector, TaskVector, frozen_copy, number
+from eos_pin._arrays import JointVector, TaskVector, by_identity, frozen_copy, number
 from eos_pin.errors import InputError
 from eos_pin.tasks._flat import Point, flat_point
 
 
+@by_identity
 class Target(NamedTuple):
     """What the task should be at one time.
 
@@ -32,6 +33,7 @@ class Target(NamedTuple):
     ddz: TaskVector
 
 
+@by_identity
 class JointTarget(NamedTuple):
     """What the joints should be at one time.
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from eos_pin._arrays import (
     Array,
     VectorLike,
+    checked,
     frozen_copy,
     number,
     vector,
@@ -23,7 +24,8 @@ from eos_pin.tasks.base import Point
 from eos_pin.trajectories.base import Target, Trajectory
 
 
-@dataclass(frozen=True)
+@checked
+@dataclass(frozen=True, eq=False)
 class Harmonic(Trajectory):
     """Sum of sines and cosines: z = center + Σ_k (sines[k−1] sin kωt + cosines[k−1] cos kωt), ω = 2π / period.
 

@@ -268,7 +268,7 @@ class Geodesic(Trajectory):
         object.__setattr__(self, "times", frozen_copy(times))
         object.__setattr__(self, "begin", float(times[0]))
         object.__setattr__(self, "duration", float(times[-1]))
-        steps = [self.task.minus(b, a) for a, b in pairwise(points)]
+        steps = [self.task._minus(b, a) for a, b in pairwise(points)]
         object.__setattr__(self, "_steps", steps)
 
     def __call__(self, t: float) -> Target:
@@ -278,7 +278,7 @@ class Geodesic(Trajectory):
         s = min(max((t - times[k]) / T, 0.0), 1.0)
         step = self._steps[k]  # type: ignore[attr-defined]
         # 10 s³ − 15 s⁴ + 6 s⁵ and its derivatives; the axis of rotation is constant, so dz is along the step.
-        z = self.task.plus(self.points[k], (s**3 * (10 + s * (-15 + 6 * s))) * step)
+        z = self.task._plus(self.points[k], (s**3 * (10 + s * (-15 + 6 * s))) * step)
         return Target(z, (30 * (s * (1 - s)) ** 2 / T) * step, (60 * s * (1 - s) * (1 - 2 * s) / T**2) * step)
 
 

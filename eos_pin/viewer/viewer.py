@@ -28,7 +28,7 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin._files import write_atomically
-from eos_pin.errors import ViewerError
+from eos_pin.errors import MissingDependencyError
 from eos_pin.viewer.scene import Scene, sampled
 
 #: Kinds of message to a live page: one more frame of a run, or a whole motion instead of what the page has.
@@ -171,7 +171,7 @@ def _meshcat() -> str:
     """JavaScript of meshcat, found without importing its Python side and the servers that come with it."""
     found = importlib.util.find_spec("meshcat")
     if found is None or found.origin is None:
-        raise ViewerError("meshcat is not installed; run: pip install meshcat")
+        raise MissingDependencyError("the viewer", "meshcat", "pip install meshcat")
     return _text(gzip.compress(Path(found.origin).with_name("viewer").joinpath("dist", "main.min.js").read_bytes(), 9))
 
 

@@ -246,7 +246,7 @@ def test_a_singular_start_is_an_error(ur5):
 
 @pytest.mark.parametrize("threshold", [0.0, 1.0, -0.5, 2.0, np.nan, np.inf])
 def test_a_threshold_lies_between_0_and_1(position, threshold):
-    with pytest.raises(InputError, match="chart threshold"):
+    with pytest.raises(InputError, match="threshold must be"):
         Atlas(position, threshold=threshold)
 
 

@@ -180,7 +180,7 @@ def test_b_by_iteration_is_b_by_solve(task, data):
     np.testing.assert_allclose(iterated, B, atol=1e-10 * condition * np.abs(B).max())
 
 
-@pytest.mark.parametrize("factor", [-1.0, 2.5, 1e9, np.nan])
+@pytest.mark.parametrize("factor", [-1.0, 2.5, 1e9])
 def test_an_iteration_for_b_that_diverges_is_an_error(panda, factor):
     chart = Chart.from_base(every_task(panda)["pose"], checks.random_state(panda)[0])
     with pytest.raises(ChartError, match="diverges"):
@@ -296,11 +296,11 @@ def test_a_point_out_of_reach_is_an_error_with_its_data(panda, refresh):
     assert 0.8 < caught.value.residual < 2.0
 
 
-def test_a_point_that_is_not_finite_is_not_found(panda):
+def test_chart_inverse_refuses_a_point_that_is_not_finite(panda):
     chart = Chart.from_base(every_task(panda)["position xyz"], HOME)
-    with pytest.raises(InverseError):
+    with pytest.raises(InputError, match="must be finite"):
         chart.inverse(np.array([np.nan, 0.0, 0.5]), np.zeros(4))
-    with pytest.raises(InverseError):
+    with pytest.raises(InputError, match="v must be finite"):
         chart.inverse(chart.z_bar, np.full(4, np.nan))
 
 

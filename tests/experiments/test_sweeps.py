@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eos_pin import EosController, InputError, OutputError, PositionTask, UnknownNameError, load_robot, simulate_sampled
+from eos_pin import EosController, InputError, PositionTask, UnknownNameError, load_robot, simulate_sampled
 from eos_pin.cli.main import main
 from eos_pin.errors import EosError
 from eos_pin.experiments.defaults import fitting_path, rest_posture
@@ -284,7 +284,7 @@ def test_a_table_of_another_kind_is_refused(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="0 runs"):
         write_table([], tmp_path / "runs.csv")
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(OutputError, match=r"eos-pin\[parquet\]"):
+    with pytest.raises(MissingDependencyError, match=r"eos-pin\[parquet\]"):
         write_table(rows, tmp_path / "runs.parquet")
     assert not list(tmp_path.iterdir())
 

@@ -18,6 +18,7 @@ from eos_pin import (
     EosController,
     Friction,
     InputError,
+    MissingDependencyError,
     MujocoPlant,
     OpenLoop,
     Payload,
@@ -232,7 +233,7 @@ def test_what_cannot_be_is_refused(panda, monkeypatch):
     with pytest.raises(InputError, match="'spindle' is a screw"):
         MujocoPlant.from_robot(Robot(model))
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(InputError, match=r"pip install 'eos-pin\[mujoco\]'"):
+    with pytest.raises(MissingDependencyError, match=r"pip install 'eos-pin\[mujoco\]'"):
         MujocoPlant.from_robot(panda)
 
 
