@@ -28,7 +28,7 @@ from eos_pin.trajectories.base import Trajectory
 #: Room that is kept from joint limits by default [rad or m].
 MARGIN = 0.01
 #: Postures in a layer by redundancy; three and more have the last.
-POSTURES = (60, 100, 120, 120)
+POSTURES = (60, 100, 240, 120)
 #: Ways through the layers that are refined.
 STRATEGIES = 4
 #: How many times the points of a path are doubled where the joints between them are not clear.
