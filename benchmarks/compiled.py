@@ -1,9 +1,10 @@
-"""What the compiled twins of formulas buy: each beside its original, and whole steps with and without them.
+"""Compiled kernels beside their plain forms, and whole steps with and without what is compiled.
 
-    python benchmarks/compiled.py [--rounds N] [--json FILE]
+    python benchmarks/compiled.py [--rounds N] [--json FILE] [--write]
 
-The robot is Panda. Times are CPU time of one thread, medians of rounds in which both take turns. That twins compute
-what their originals do is tested in tests/test_compiled.py.
+The robot is Panda. Times are CPU time of one thread, medians of rounds in which both take turns. With --write the ratio
+for a step goes into README.md and docs/performance.md. That both forms compute the same is tested in
+tests/kernels/test_compiled.py.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from pathlib import Path
 from statistics import median
 from typing import Annotated, Any
 
+import compiled_text
 import numpy as np
 import pinocchio as pin
 import tyro
@@ -45,7 +47,7 @@ from eos_pin import (
 from eos_pin._kernels.dispatch import REFERENCES, kernels
 from eos_pin.cli.main import run
 from eos_pin.cli.output import console, grid, stderr, write_json
-from eos_pin.control.state import EosState
+from eos_pin.tasks._flat import ORTHONORMAL
 
 TIP, REST = "panda_hand_tcp", np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 #: A call, by what it does.
@@ -63,8 +65,15 @@ def problems() -> dict[str, tuple[Task, Trajectory]]:
     }
 
 
+def plain_form(kernel: Any) -> Any:
+    """The plain form of a compiled kernel, with the same arguments."""
+    kind, arguments = kernel.__reduce__()
+    arguments = (plain_form(part) if isinstance(part, kernels.Frame) else part for part in arguments)
+    return REFERENCES[kind.__name__](*arguments)
+
+
 def twins() -> tuple[Calls, Calls]:
-    """Compiled formulas and their originals, on the same arguments."""
+    """Compiled kernels and their plain forms, on the same arguments."""
     compiled: dict[str, Callable[[], Any]] = {}
     plain: dict[str, Callable[[], Any]] = {}
     dq, dq_last = 0.1 * REST, 0.1 * REST
@@ -78,24 +87,26 @@ def twins() -> tuple[Calls, Calls]:
         limited = LimitedEosController(task, path)
         ddq = state.drive(point.J, F, dq)[0]
 
-        def law_in_full(controller: EosController = controller, state: EosState = state) -> Any:
-            point = Task.at(controller.task, REST, dq)
-            return state.drive._reference(point.J, controller.asked(0.1, REST, dq, state.chart, point), dq)
-
+        frame = plain_form(task.kernel)  # type: ignore[attr-defined]
+        plain_law, plain_map, plain_limits = map(plain_form, (state.law, state.drive._kernel, limited._kernel))
         pairs: dict[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
-            "task at a state": (partial(task.at, REST, dq), partial(Task.at, task, REST, dq)),
-            "task and Jacobian": (partial(task.linearize, REST), partial(Task.linearize, task, REST)),
-            "task, tracking law and drive": (partial(state.law, *law), law_in_full),
-            "drive": (partial(state.drive, point.J, F, dq), partial(state.drive._reference, point.J, F, dq)),
-            "limits, none active": (
-                partial(limited._within, REST, dq, ddq, point.J),
-                partial(limited._reference, REST, dq, ddq, point.J),
+            "Frame.at": (partial(task.at, REST, dq), partial(frame.at, REST, dq)),
+            "Frame.linearize": (partial(task.linearize, REST), partial(frame.linearize, REST)),
+            "TrackingLaw": (partial(state.law, *law), partial(plain_law, *law)),
+            "AccelerationMap": (partial(state.drive, point.J, F, dq), partial(plain_map, point.J, F, dq)),
+            "Limits, none active": (
+                partial(limited._kernel, REST, dq, ddq, point.J),
+                partial(plain_limits, REST, dq, ddq, point.J),
+            ),
+            "Limits, one active": (
+                partial(limited._kernel, REST, dq, 40.0 * ddq, point.J),
+                partial(plain_limits, REST, dq, 40.0 * ddq, point.J),
             ),
             "on_chart_inverse": _pair("on_chart_inverse", point.J, chart.U),
             "newton_step": _pair("newton_step", REST, chart.U, error, chart.B_bar, error),
         }
         if kind == "pose":
-            pairs["flat_pose"] = _pair("flat_pose", pin.SE3.Random().homogeneous)
+            pairs["flat_pose"] = _pair("flat_pose", pin.SE3.Random().homogeneous, ORTHONORMAL)
             pairs["pose_difference"] = _pair("pose_difference", target.z, point.z)
         else:
             watches = kernels.StateMonitor(0.0, REST, 0.04), REFERENCES["StateMonitor"](0.0, REST, 0.04)
@@ -106,7 +117,8 @@ def twins() -> tuple[Calls, Calls]:
             pairs["within_limits_fast"] = _pair("within_limits_fast", REST, np.full(7, 0.01))
             pairs["largest"] = _pair("largest", error)
             pairs["state_rate"] = _pair("state_rate", dq, dq_last, REST)
-            pairs["figure eight"] = partial(path, 0.1), partial(path.waves._reference, 0.1)  # type: ignore[attr-defined]
+            curve = path.waves.at  # type: ignore[attr-defined]
+            pairs["Curve"] = partial(curve, 0.1), partial(REFERENCES["Curve"](*curve.__reduce__()[1]), 0.1)
         for name, (one, other) in pairs.items():
             compiled[f"{name}, {kind}"], plain[f"{name}, {kind}"] = one, other
     return compiled, plain
@@ -142,12 +154,18 @@ def serve() -> None:
         print(json.dumps({name: cpu(call) for name, call in calls.items()}), flush=True)
 
 
-def benchmark(*, rounds: int = 15, json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None) -> int:
-    """Time compiled formulas and what contains them, with and without.
+def benchmark(
+    *,
+    rounds: int = 15,
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
+    write: bool = False,
+) -> int:
+    """Time compiled kernels and what contains them, with and without.
 
     Args:
         rounds: Rounds over everything; the median counts.
         json_file: File for all figures, machine-readable.
+        write: Write the ratio for a step into README.md and docs/performance.md.
     """
     if kernels is None:
         console.print("nothing is compiled here: install eos_pin where there is a C compiler", style="red")
@@ -179,13 +197,17 @@ def benchmark(*, rounds: int = 15, json_file: Annotated[Path | None, tyro.conf.a
     for worker in workers:
         worker.communicate()
     found = {}
-    for title, (compiled, plain) in {"Formulas": formulas, "Whole": paths}.items():
+    for title, (compiled, plain) in {"Kernels": formulas, "Whole": paths}.items():
         figures = {name: (1e6 * median(compiled[name]), 1e6 * median(plain[name])) for name in compiled}
         rows = [(name, one, other, other / one) for name, (one, other) in figures.items()]
-        console.print(grid(f"{title}, µs", ("what", "compiled", "original", "ratio"), rows))
+        console.print(grid(f"{title}, µs", ("what", "compiled", "plain", "ratio"), rows))
         found[title] = figures
     if json_file is not None:
         write_json(json_file, found | {"rounds": rounds})
+    if write:
+        steps = [plain / fast for name, (fast, plain) in found["Whole"].items() if name.startswith("step")]
+        for document in compiled_text.DOCUMENTS:
+            compiled_text.write(document, compiled_text.phrase(steps))
     return 0
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import compiled_text
 from ratios import Ratio
 from sections import Section
 
@@ -35,8 +36,8 @@ _LIMITS = """## What the figures do not say
   posture; it sets no self-motion to follow, and none of its errors decays at a rate one has designed.
 - *Languages.* TSID, PlaCo, Drake and the Robotics Toolbox compute in C++ and are called from Python, as most of their
   users do; eos_pin is Python around C++ with its everyday sums compiled, Pink and mink are Python around C++. Called
-  from C++ the first are faster than here. Without a C compiler at installation eos_pin's step takes three to four times
-  as long (`benchmarks/compiled.py`).
+  from C++ the first are faster than here. Without a C compiler at installation eos_pin's step takes
+  <!-- compiled.py --><!-- end --> as long (`benchmarks/compiled.py`).
 - *What is the same.* In the state that is timed TSID's torque is that of EOS control, also with an active limit. PlaCo
   adds a small regularization. Traditional control has another law for the null space, so its torque differs where the
   motion of the task does not. eos_pin evaluates its path in every step; the peers are handed the target.
@@ -48,8 +49,8 @@ _LIMITS = """## What the figures do not say
 - *Versions.* TSID is the last one that comes as a whole from PyPI, with the Pinocchio it was built with. The newer
   ones there are bindings whose library has to be built from source, against another Pinocchio than theirs.
 - *What is measured elsewhere.* `benchmarks/chains.py` (up to 1,000 joints), `benchmarks/sweep.py` (many runs on one
-  core and on two), `benchmarks/startup.py` (from process start to the first step), `benchmarks/compiled.py` (what is
-  compiled beside its original).
+  core and on two), `benchmarks/startup.py` (from process start to the first step), `benchmarks/compiled.py` (each
+  compiled kernel beside its plain form).
 - *Memory and pauses.* The long loop runs in an ordinary Python process, and Python gives no guarantee of real time.
 """
 
@@ -70,7 +71,7 @@ def page(
     parts += ["## Ratios", _table(("what", "task", "measured", "aim", "met"), rows), _slower(sections)]
     for section in sections:
         parts += [f"## {section.title}", _table(section.columns, section.rows), section.note]
-    parts.append(_LIMITS)
+    parts.append(compiled_text.filled(_LIMITS))
     if missing:
         parts += ["## Not measured", _table(("what", "why"), list(missing.items()))]
     return "\n\n".join(part.strip() for part in parts if part) + "\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 
 # Before NumPy is imported: more threads make small matrices slower and results depend on the machine.
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -72,12 +73,11 @@ def unchecked():
 def build(request, monkeypatch):
     """With what is compiled, and without."""
     if request.param == "plain":
-        from eos_pin._kernels.dispatch import REFERENCES
-        from eos_pin.control import _regularize as driving
-        from eos_pin.control import limited as limits
-        from eos_pin.control import loop
+        from eos_pin._kernels.dispatch import REFERENCES, kernels
+        from eos_pin.control import _regularize, limited, loop  # noqa: F401 - they choose their kernels
 
-        for module in (driving, limits):
-            monkeypatch.setattr(module, "kernels", None)
-        for name in ("StateMonitor", "within_limits_fast"):
-            monkeypatch.setattr(loop, name, REFERENCES[name])
+        plain = {} if kernels is None else {id(getattr(kernels, name)): form for name, form in REFERENCES.items()}
+        for module in [module for name, module in sys.modules.items() if name.startswith("eos_pin.")]:
+            for name, value in list(vars(module).items()):
+                if id(value) in plain:
+                    monkeypatch.setattr(module, name, plain[id(value)])

@@ -155,5 +155,5 @@ def test_what_is_compiled_is_timed_beside_its_original(tmp_path: Path) -> None:
     assert compiled.benchmark(rounds=1, json_file=tmp_path / "compiled.json") == 0
     found = json.loads((tmp_path / "compiled.json").read_text())
     for name in REFERENCES:
-        assert any(row.startswith(name) for row in found["Formulas"])
+        assert any(row.startswith(name) for row in found["Kernels"])
     assert {"step, position", "continuous run of 1 s, pose"} <= set(found["Whole"])

@@ -10,6 +10,12 @@ from libc.string cimport memcpy, memset
 
 import numpy as np
 
+from eos_pin._kernels import plain
+
+#: As in the plain form.
+cdef double DAMPING = plain.DAMPING, FLOOR = plain.FLOOR, LONGEST = plain.LONGEST
+cdef int PATIENCE = plain.PATIENCE
+
 #: Kinds of parts, as in `eos_pin._kernels.flat`.
 cdef enum:
     POSITION = 0
@@ -212,7 +218,7 @@ cdef class Chain:
         cdef double ahead[MOST_JOINTS]
         cdef bint free[MOST_JOINTS]
         cdef int n = self.n, m = self.m, i, j, k, slow = 0, iteration = 0
-        cdef double square = 0.0, square_ahead, mu = 0.01, total, longest, worst = 0.0, worst_ahead
+        cdef double square = 0.0, square_ahead, mu = DAMPING, total, longest, worst = 0.0, worst_ahead
         for i in range(n):
             q[i] = min(max(q[i], lower[i]), upper[i])
         self.evaluate(q, point, J)
@@ -223,7 +229,7 @@ cdef class Chain:
         if not isfinite(square):
             left[0] = INFINITY
             return 0
-        while worst > tol and iteration < most and slow < 6:
+        while worst > tol and iteration < most and slow < PATIENCE:
             iteration += 1
             for j in range(n):
                 free[j] = True
@@ -239,7 +245,7 @@ cdef class Chain:
                         if free[j]:
                             total += J[i * n + j] * J[k * n + j]
                     A[i * m + k] = total
-                A[i * m + i] += mu * square + 1e-14
+                A[i * m + i] += mu * square + FLOOR
             if not solve(A, e, x, m):
                 break
             longest = 0.0
@@ -250,8 +256,8 @@ cdef class Chain:
                         step[j] += J[i * n + j] * x[i]
                 longest = max(longest, fabs(step[j]))
             for j in range(n):
-                if longest > 1.0:
-                    step[j] *= 1.0 / longest
+                if longest > LONGEST:
+                    step[j] *= LONGEST / longest
                 ahead[j] = min(max(q[j] + step[j], lower[j]), upper[j])
             self.evaluate(ahead, point, J_ahead)
             self.difference(z, point, e_ahead)

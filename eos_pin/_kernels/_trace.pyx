@@ -8,13 +8,15 @@ from eos_pin._kernels._chain cimport MOST_JOINTS, MOST_PARTS, MOST_ROWS, Chain
 
 import numpy as np
 
+from eos_pin._kernels import tracing
+
 #: Ends of a trace, as in `eos_pin._kernels.tracing`.
 cdef enum:
     CLOSED = 0
     SINGULAR = 1
     LONG = 2
 
-cdef double TAU = 6.283185307179586
+cdef double TAU = 6.283185307179586, REGULAR = tracing.REGULAR
 
 
 cdef struct Point:
@@ -135,7 +137,7 @@ def trace(Chain chain, const double[::1] start, const double[::1] z, const unsig
     cdef bint good
     memcpy(here.q, &start[0], n * sizeof(double))
     look(chain, &z[0], &here)
-    if here.least < 1e-9:
+    if here.least < REGULAR:
         return Q[:0], T[:0], SINGULAR
     with nogil:
         for i in range(n):

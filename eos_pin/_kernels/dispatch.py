@@ -1,9 +1,9 @@
-"""Compiled twins of the package's own formulas, where it was installed with a C compiler.
+"""The choice between compiled and plain kernels.
 
-A formula stands where it belongs, written to be read. Where it runs in every control step and NumPy's price for a call
-counts, it may have a twin in `law.pyx` or `parts.pyx`, which gives the same to rounding in a fraction
-of the time (`benchmarks/compiled.py`). Without a compiler, and with EOS_PIN_COMPILED=0 in the environment, the
-originals do everything.
+A kernel is a function or a class that takes and returns plain arrays. Its plain form is written in NumPy, to be read.
+Where it runs in every control step and NumPy's price for a call counts, `law.pyx` and `parts.pyx` have a compiled form
+of the same name, with the same arguments and the same results to rounding (`benchmarks/compiled.py`). Without a
+compiler, and with EOS_PIN_COMPILED=0 in the environment, the plain forms do everything.
 """
 
 from __future__ import annotations
@@ -15,24 +15,43 @@ from importlib import import_module
 from types import SimpleNamespace
 from typing import Any, TypeVar, cast
 
+#: Extension modules, and all that is used of them.
+COMPILED = {
+    "law": ("AccelerationMap", "Frame", "TrackingLaw"),
+    "parts": (
+        "Curve", "Limits", "StateMonitor", "flat_pose", "largest", "newton_step", "on_chart_inverse",
+        "pose_difference", "state_rate", "within_limits_fast",
+    ),
+    "_chain": ("Chain", "LARGEST"),
+    "_solids": ("distances",),
+    "_trace": ("nearest", "tangents", "trace"),
+}  # fmt: skip
+
+#: Statuses of a kernel that cannot always answer: it did, or its caller has to decide.
+DONE, UNDECIDED = 0, 1
+
 #: The compiled functions and classes; None without.
 kernels: Any = None
 if os.environ.get("EOS_PIN_COMPILED") != "0":
     with suppress(ImportError):
-        modules = [
-            import_module(f"eos_pin._kernels.{name}") for name in ("law", "parts", "_chain", "_solids", "_trace")
-        ]
+        modules = {name: import_module(f"eos_pin._kernels.{name}") for name in COMPILED}
         kernels = SimpleNamespace(
-            **{name: use_compiled for module in modules for name, use_compiled in vars(module).items()}
+            **{name: getattr(modules[module], name) for module, names in COMPILED.items() for name in names}
         )
 
-Formula = TypeVar("Formula", bound=Callable[..., Any])
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
-#: The functions and classes that have a twin, by name.
+#: The plain forms of what may be compiled, by name.
 REFERENCES: dict[str, Callable[..., Any]] = {}
 
 
-def use_compiled(original: Formula) -> Formula:
-    """Put what is compiled under the same name in the place of a function or class, where there is that."""
-    REFERENCES[original.__name__] = original
-    return cast(Formula, getattr(kernels, original.__name__, original))
+def use_compiled(plain: Kernel) -> Kernel:
+    """Choose the compiled form of a kernel, where there is one.
+
+    Args:
+        plain: Its plain form, a function or a class; `COMPILED` must list its name.
+    """
+    name = plain.__name__
+    assert name in COMPILED["law"] + COMPILED["parts"], f"{name} is not in the list of what is compiled"
+    REFERENCES[name] = plain
+    return cast(Kernel, plain if kernels is None else getattr(kernels, name))

@@ -1,16 +1,15 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled twins of a control step: tasks of frames, the tracking law, and the drive.
 
-What each computes is written where its original is; here are the same sums without NumPy's price for a call. They give
-the same to rounding, and return None where the original has to decide: near a singularity, and for arrays of another
-kind than the package makes.
+What each computes is written in `plain_law`; here are the same sums without NumPy's price for a call. They give the same
+to rounding, with the same status; arrays of another kind than the package makes are copied.
 """
 
 cimport numpy as cnp
 from libc.math cimport sqrt
 from scipy.linalg.cython_lapack cimport dgetrf, dgetri
 
-from eos_pin._kernels._common cimport as_plain, data, dot, empty, entry, named, plain, table
+from eos_pin._kernels._common cimport as_plain, as_table, data, dot, empty, entry, named
 
 import numpy as np
 from pinocchio import (
@@ -22,11 +21,15 @@ from pinocchio import (
     updateFramePlacement,
 )
 
+from eos_pin._kernels import dispatch
+
 cnp.import_array()
+
+cdef int DONE = dispatch.DONE, UNDECIDED = dispatch.UNDECIDED
 
 
 cdef class Frame:
-    """`FrameTask.value`, `linearize` and `at`.
+    """`plain_law.Frame`.
 
     Args:
         model, workspace: What Pinocchio computes with.
@@ -116,13 +119,13 @@ def aligned(size):
 
 
 cdef class AccelerationMap:
-    """`AccelerationMap` on one chart, wherever nothing fades.
+    """`plain_law.AccelerationMap`.
 
     Args:
         Vt: Transposed basis V of the null space at the base point, (r, n).
         Qt: Transposed orthonormal basis Q of the row space there, (m, n).
-        most: Square of the size of U B from which directions may damped_system.
-        fast: Joint speed from which they damped_system earlier.
+        most: Square of the size of U B from which directions may fade.
+        fast: Joint speed from which they fade earlier.
         runaway, braking: Joint speed beyond which self-motion is braked, and how much.
     """
 
@@ -155,10 +158,9 @@ cdef class AccelerationMap:
     def __reduce__(self):
         return type(self), self.made_from
 
-    def __call__(self, cnp.ndarray J not None, F, dq):
-        """Acceleration and bound of the margin; arguments as in `AccelerationMap` of `eos_pin.control._regularize`."""
-        if not (table(J, self.m, self.n) and plain(F, self.n) and plain(dq, self.n)):
-            return None
+    def __call__(self, jacobian, asked, velocities):
+        cdef cnp.ndarray J = as_table(jacobian, self.m, self.n), F = as_plain(asked, self.n)
+        cdef cnp.ndarray dq = as_plain(velocities, self.n)
         cdef Py_ssize_t i, j
         for i in range(self.m):
             for j in range(self.n):
@@ -171,7 +173,7 @@ cdef class AccelerationMap:
         """The same for what stands in J and F: ddq = V F_v + Q (JQ)⁻¹ (F_z − J V F_v), where U B = Q (JQ)⁻¹."""
         cdef int n = self.n, m = self.m, r = n - m, info = 0
         cdef double *A = self.A
-        cdef double speed = sqrt(dot(dq, dq, n)), expired = 0.0, speed_ratio_squared, part
+        cdef double speed = sqrt(dot(dq, dq, n)), beyond = 0.0, ratio = max(speed / self.fast, 1.0), part
         cdef Py_ssize_t i, j, k
         for i in range(m):
             for k in range(m):
@@ -179,13 +181,12 @@ cdef class AccelerationMap:
         dgetrf(&m, &m, A, &m, self.pivots, &info)
         if info == 0:
             dgetri(&m, A, &m, self.pivots, self.work, &self.room, &info)
-        speed_ratio_squared = max(speed / self.fast, 1.0)
-        if info != 0 or not dot(A, A, m * m) * speed_ratio_squared * speed_ratio_squared < self.most:
-            return None
+        cdef cnp.ndarray ddq = empty(n)
+        if info != 0 or not dot(A, A, m * m) * ratio * ratio < self.most:
+            return UNDECIDED, ddq, 0.0
         if speed > self.runaway:
             for k in range(r):
                 self.F[m + k] -= self.braking * (speed - self.runaway) * dot(self.Vt + k * n, dq, n)
-        cdef cnp.ndarray ddq = empty(n)
         cdef double *x = data(ddq)
         for j in range(n):
             x[j] = 0.0
@@ -208,12 +209,12 @@ cdef class AccelerationMap:
                 part = 0.0
                 for j in range(m):
                     part += A[i + m * j] * self.x[j]
-                expired += part * part
-        return ddq, 1.0 / sqrt(1.0 + expired)
+                beyond += part * part
+        return DONE, ddq, 1.0 / sqrt(1.0 + beyond)
 
 
 cdef class TrackingLaw(AccelerationMap):
-    """`EosController.asked` for self-motion that is held, and `AccelerationMap` of it; Eqs. (36), (45).
+    """`plain_law.TrackingLaw`; Eqs. (36), (45).
 
     Args:
         Vt, Qt, most, fast, runaway, braking: As for `AccelerationMap`.
@@ -242,35 +243,32 @@ cdef class TrackingLaw(AccelerationMap):
             data(vectors[0]), data(vectors[1]), data(vectors[2]), data(vectors[3]), data(vectors[4])
         )
 
-    def __call__(self, q, dq, z_d, dz_d, ddz_d, more):
-        """Acceleration and bound of the margin, as `AccelerationMap` has them, and the task's Jacobian.
+    def __call__(self, joints, velocities, z_d, dz, ddz, self_motion):
+        """Status, acceleration and bound of the margin, as `AccelerationMap` has them, and the task's Jacobian.
 
         Args:
-            q, dq: State of the robot.
-            z_d, dz_d, ddz_d: What the task should do.
-            more: What is asked of the self-motion beside this law, (r,), or None.
+            joints, velocities: State of the robot.
+            z_d, dz, ddz: What the task should do.
+            self_motion: What is asked of the self-motion beside this law, (r,), or None.
         """
         cdef Py_ssize_t n = self.n, m = self.m, r = n - m, i, j
-        cdef cnp.ndarray J, drift = None
-        cdef double dz
-        cdef double *e
-        if not (plain(q, n) and plain(dq, n) and plain(dz_d, m) and plain(ddz_d, m) and (more is None or plain(more, r))):
-            return None
+        cdef cnp.ndarray q = as_plain(joints, n), dq = as_plain(velocities, n), dz_d = as_plain(dz, m)
+        cdef cnp.ndarray ddz_d = as_plain(ddz, m), more = None if self_motion is None else as_plain(self_motion, r)
+        cdef cnp.ndarray J, error, drift = None
+        cdef double rate
         if self.frame is not None:
             self.frame.look(q, dq)
             z, J = self.frame.z(), self.frame.J()
         else:
-            z, J, _, drift = self.task_at(q, dq)
-        error = difference(z_d, z, m) if self.minus is None else self.minus(z_d, z)
-        if not (plain(error, m) and table(J, m, n) and (self.frame is not None or plain(drift, m))):
-            return None
-        e = data(error)
+            z, matrix, _, acceleration = self.task_at(q, dq)
+            J, drift = as_table(matrix, m, n), as_plain(acceleration, m)
+        error = difference(z_d, z, m) if self.minus is None else as_plain(self.minus(z_d, z), m)
         for i in range(m):
-            dz = 0.0
+            rate = 0.0
             for j in range(n):
                 self.J[i * n + j] = entry(J, i, j)
-                dz += self.J[i * n + j] * data(dq)[j]
-            self.F[i] = self.kp[i] * e[i] + self.kd[i] * (data(dz_d)[i] - dz) + (
+                rate += self.J[i * n + j] * data(dq)[j]
+            self.F[i] = self.kp[i] * data(error)[i] + self.kd[i] * (data(dz_d)[i] - rate) + (
                 data(ddz_d)[i] - (data(drift)[i] if self.frame is None else self.frame.drift_of(i))
             )
         for i in range(r):
@@ -280,17 +278,14 @@ cdef class TrackingLaw(AccelerationMap):
             )
             if more is not None:
                 self.F[m + i] += data(more)[i]
-        driven = self.solve(data(dq))
-        return None if driven is None else (driven[0], driven[1], J)
+        driven = <tuple>self.solve(data(dq))
+        return driven[0], driven[1], driven[2], J
 
 
-cdef difference(z_d, z, Py_ssize_t m):
-    """z_d − z; None where they are not both vectors."""
-    cdef cnp.ndarray error
+cdef cnp.ndarray difference(z_d, z, Py_ssize_t m):
+    """z_d − z."""
+    cdef cnp.ndarray error = empty(m), one = as_plain(z_d, m), other = as_plain(z, m)
     cdef Py_ssize_t i
-    if not (plain(z_d, m) and plain(z, m)):
-        return None
-    error = empty(m)
     for i in range(m):
-        data(error)[i] = data(z_d)[i] - data(z)[i]
+        data(error)[i] = data(one)[i] - data(other)[i]
     return error

@@ -14,11 +14,11 @@ cnp.import_array()
 
 
 cdef class Limits:
-    """`LimitedEosController._reference`.
+    """`plain_parts.Limits`.
 
     Args:
         period: Control period.
-        rate, ends, fastest, braking, acceleration: What `_Viability` makes bounds from.
+        rate, ends, fastest, braking, acceleration: As for `plain_parts.Viability`.
         torque: Largest torques, (n,).
         clear: How much more each joint may be accelerated where limits are not looked at more closely.
         model: Robot whose dynamics count.
@@ -62,11 +62,10 @@ cdef class Limits:
     cdef double kept_to(self, Py_ssize_t i, double ddq) noexcept:
         return min(max(ddq, self.least[i]), self.most[i])
 
-    def __call__(self, cnp.ndarray q, cnp.ndarray dq, cnp.ndarray ddq, cnp.ndarray J):
+    def __call__(self, joints, velocities, accelerations, J):
         cdef Py_ssize_t n = self.n, i, j
         cdef double up, down, part = 0.0, room = INFINITY, half = self.half, quarter = 0.5 * self.half * self.half
-        if not (plain(q, n) and plain(dq, n) and plain(ddq, n)):
-            return None
+        cdef cnp.ndarray q = as_plain(joints, n), dq = as_plain(velocities, n), ddq = as_plain(accelerations, n)
         cdef cnp.ndarray tau = self.model._inverse_dynamics(q, dq, ddq)
         cdef cnp.ndarray change = empty(n)
         for i in range(n):
@@ -175,14 +174,7 @@ def within_limits_fast(tau, cnp.ndarray per_limit):
 
 
 cdef class Curve:
-    """`Waves`.
-
-    Args:
-        phase, frequencies: As `Waves` takes them.
-        rows: Its three blocks side by side.
-        first, second: Where the second and the third block begin.
-        target: What `Waves` returns its tuple as.
-    """
+    """`plain_parts.Curve`, with the same arguments."""
 
     cdef tuple made_from
     cdef cnp.ndarray frequencies, rows
@@ -216,7 +208,7 @@ cdef class Curve:
         return named(self.target, (z, dz, ddz))
 
 
-def flat_pose(cnp.ndarray array not None):
+def flat_pose(cnp.ndarray array not None, double tolerance):
     cdef cnp.ndarray z = empty(12)
     cdef double *R = data(z) + 3
     cdef double off = 0.0, product
@@ -240,7 +232,7 @@ def flat_pose(cnp.ndarray array not None):
     product = (
         R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6])
     )
-    return z if isfinite(dot(data(z), data(z), 12)) and off <= 1e-14 and product > 0.0 else None
+    return z if isfinite(dot(data(z), data(z), 12)) and off <= tolerance and product > 0.0 else None
 
 
 def pose_difference(z1, z0):

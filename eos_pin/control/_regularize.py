@@ -10,18 +10,22 @@ import numpy as np
 from scipy.linalg import lapack
 
 from eos_pin._arrays import (
+    Array,
     Jacobian,
     JointVector,
     SelfMotionVector,
     TaskVector,
 )
-from eos_pin._kernels.dispatch import kernels
+from eos_pin._kernels import plain_law
+from eos_pin._kernels.dispatch import DONE, use_compiled
 from eos_pin.charts._basis import DENSE
 from eos_pin.charts.chart import DENSE_SOLVE, EDGE, Chart
 from eos_pin.errors import ChartError
 from eos_pin.tasks.base import Task
 from eos_pin.tasks.frame import FrameTask
 from eos_pin.trajectories.base import Hold, Trajectory
+
+MapKernel, LawKernel = use_compiled(plain_law.AccelerationMap), use_compiled(plain_law.TrackingLaw)
 
 #: Below this singular value a direction fades out of a control law: 0.05 of the robot's reach per radian.
 SINGULAR_VALUE_FLOOR = 0.05
@@ -84,14 +88,14 @@ class AccelerationMap:
         self.most = 1.0 / (SINGULAR_VALUE_FLOOR * float(self._units.max(initial=1.0))) ** 2
 
     @cached_property
-    def _compiled(self) -> Any:
+    def _kernel(self) -> Any:
         # For many joints products with a basis that is not written out are cheaper.
-        return kernels.AccelerationMap(*self._made_from) if kernels and self.chart.n <= DENSE else None
+        return MapKernel(*self._made_from) if self.chart.n <= DENSE else None
 
     @property
-    def _made_from(self) -> tuple[Any, ...]:
-        runaway = OVERSPEED if self.smooth else math.inf
-        return self.chart.Vt, self.chart.row_basis.T, self.most, FAST_SPEED, runaway, OVERSPEED_DAMPING
+    def _made_from(self) -> tuple[Array, Array, float, float, float, float]:
+        most, runaway = (self.most, OVERSPEED) if self.smooth else (math.inf, math.inf)
+        return self.chart.Vt, self.chart.row_basis.T, most, FAST_SPEED, runaway, OVERSPEED_DAMPING
 
     def __call__(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
         """Joint acceleration, and a lower bound of the chart's margin that is got on the way, 0 if none is.
@@ -104,13 +108,15 @@ class AccelerationMap:
         Raises:
             ChartError: [G'; Vᵀ] is singular, and nothing fades.
         """
-        driven = None if self._compiled is None else self._compiled(J, F, dq)
-        return self._reference(J, F, dq) if driven is None else driven
+        if self._kernel is None:
+            return self._for_many_joints(J, F, dq), 0.0
+        status, ddq, margin = self._kernel(J, F, dq)
+        return (ddq, margin) if status == DONE else (self._near_singularity(J, F, dq), 0.0)
 
     def tracking_law(
         self, kp: TaskVector, kd: TaskVector, kp_v: SelfMotionVector, kd_v: SelfMotionVector, v_d: Trajectory
     ) -> Any:
-        """This, and `EosController.asked` for self-motion that is held at v_d, in one; None if that is not compiled.
+        """This, and `EosController.asked` for self-motion that is held at v_d, in one kernel; None where there is none.
 
         Args:
             kp: Gain on the task error, (m,).
@@ -120,45 +126,51 @@ class AccelerationMap:
             v_d: Where v is held.
         """
         # A Hold of one's own kind may move.
-        if self._compiled is None or type(v_d) is not Hold:
+        if self._kernel is None or type(v_d) is not Hold:
             return None
         task = self.chart.task
-        at = (isinstance(task, FrameTask) and type(task).at is FrameTask.at and task.compiled) or task._at
+        at = task.kernel if isinstance(task, FrameTask) and type(task).at is FrameTask.at else task._at
         minus = None if type(task).minus is Task.minus else task._minus
         held = v_d.z + self.chart.basis.project(self.chart.q_bar) - self.chart.v_bar
-        return kernels.TrackingLaw(*self._made_from, kp, kd, kp_v, kd_v, held, at, minus)
+        return LawKernel(*self._made_from, kp, kd, kp_v, kd_v, held, at, minus)
 
     def margin(self, J: Jacobian, enough: float) -> float:
         """`Chart.margin`, or a lower bound of it that exceeds `enough`."""
-        nothing = self._nothing
-        driven = None if self._compiled is None else self._compiled(J, nothing, nothing)
-        return driven[1] if driven is not None and driven[1] > enough else self.chart._margin(J, enough=enough)
+        if self._kernel is not None:
+            status, _, bound = self._kernel(J, self._nothing, self._nothing)
+            if status == DONE and bound > enough:
+                return float(bound)
+        return self.chart._margin(J, enough=enough)
 
-    def _reference(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
-        """The same, without what is compiled."""
-        n, m = self.chart.n, self.chart.m
-        speed = math.sqrt(dq.dot(dq))
-        if self.smooth and speed > OVERSPEED:
-            F = np.concatenate((F[:m], F[m:] - OVERSPEED_DAMPING * (speed - OVERSPEED) * self.chart._dv(dq)))
-        A, b, lifted = self.chart._system(J, F)
-        LU, pivots, info = lapack.dgetrf(A)
-        H, singular = lapack.dgetri(LU, pivots, overwrite_lu=1)
-        # H = [U B, D] column by column; beyond DENSE_SOLVE it has no D.
-        flat, cut = H.T.ravel(), m * b.size
-        UB, D = flat[:cut], flat[cut:]
-        if info or singular or not UB.dot(UB) * speed_ratio_squared(dq) < self.most:
-            # The least singular value of G' is at least 1 / |U B|, so the law never fades too late.
-            if self.smooth:
-                # A trial state of an integrator may be beyond all numbers; the torque says so.
-                finite = math.isfinite(J.sum()) and math.isfinite(dq.dot(dq))
-                return self._faded(J, F, dq) if finite else np.full(n, math.nan), 0.0
-            if info or singular:
-                raise ChartError(EDGE)
-        if lifted is not None:
-            return lifted + self.chart.row_basis.dot(H.dot(b)), 0.0
-        # The singular values of D are the inverse cosines of the angles that `margin` speaks of; all are at least 1, so
-        # the largest is at most what their squares leave beyond the others.
-        return H.dot(b), 1.0 / math.sqrt(max(D.dot(D) - n + m + 1.0, 1.0))
+    def _for_many_joints(self, J: Jacobian, F: JointVector, dq: JointVector) -> JointVector:
+        """The acceleration where V is not written out: V F_v + U B (F_z − G'V F_v)."""
+        chart, m = self.chart, self.chart.m
+        if not (math.isfinite(J.sum()) and math.isfinite(dq.dot(dq))):
+            return self._near_singularity(J, F, dq)
+        lifted = chart.basis.apply(self._braked(F, dq)[m:])
+        JQ = J.dot(chart.row_basis)
+        LU, pivots, info = lapack.dgetrf(JQ)
+        B, singular = lapack.dgetri(LU, pivots)
+        UB = B.ravel("K")
+        if info or singular or (self.smooth and not UB.dot(UB) * speed_ratio_squared(dq) < self.most):
+            return self._near_singularity(J, F, dq)
+        return lifted + chart.row_basis.dot(B.dot(F[:m] - J.dot(lifted)))
+
+    def _braked(self, F: JointVector, dq: JointVector) -> JointVector:
+        """F, with self-motion of joints that are about to run away braked."""
+        speed, m = math.sqrt(dq.dot(dq)), self.chart.m
+        if not self.smooth or speed <= OVERSPEED:
+            return F
+        return np.concatenate((F[:m], F[m:] - OVERSPEED_DAMPING * (speed - OVERSPEED) * self.chart._dv(dq)))
+
+    def _near_singularity(self, J: Jacobian, F: JointVector, dq: JointVector) -> JointVector:
+        """The acceleration where the kernel has none; directions of the task fade."""
+        # A trial state of an integrator may be beyond all numbers; the torque says so.
+        if not (math.isfinite(J.sum()) and math.isfinite(dq.dot(dq))):
+            return np.full(self.chart.n, math.nan)
+        if not self.smooth:
+            raise ChartError(EDGE)
+        return self._faded(J, self._braked(F, dq), dq)
 
     def _faded(self, J: Jacobian, F: JointVector, dq: JointVector) -> JointVector:
         """The acceleration where the task may be singular."""

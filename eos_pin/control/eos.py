@@ -15,6 +15,7 @@ from eos_pin._arrays import (
     frozen_copy,
     vector,
 )
+from eos_pin._kernels.dispatch import DONE
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import AccelerationMap
@@ -146,9 +147,9 @@ class EosController(TaskController):
             z_d, dz_d, ddz_d = self.reference(t)
             if not self.feedforward:
                 dz_d = ddz_d = self._rest
-            driven = state.law(q, dq, z_d, dz_d, ddz_d, more)
-            if driven is not None:
-                return driven
+            status, ddq, margin, J = state.law(q, dq, z_d, dz_d, ddz_d, more)
+            if status == DONE:
+                return ddq, margin, J
         point = self.task._at(q, dq)
         F = self.asked(t, q, dq, state.chart, point)
         if more is not None:

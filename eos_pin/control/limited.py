@@ -8,6 +8,7 @@ continuous function of the state: limits are approached smoothly, and nothing is
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -25,7 +26,9 @@ from eos_pin._arrays import (
     frozen_copy,
     number,
 )
-from eos_pin._kernels.dispatch import kernels
+from eos_pin._kernels import plain_parts
+from eos_pin._kernels.dispatch import use_compiled
+from eos_pin._kernels.plain_parts import Viability
 from eos_pin.charts.atlas import Atlas
 from eos_pin.control._smallest_change import SmallestChange
 from eos_pin.control.eos import EosController
@@ -35,6 +38,8 @@ from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Trajectory
+
+Limits = use_compiled(plain_parts.Limits)
 
 #: Rate at which a joint closes in on a limit of position or velocity [1/s].
 RATE = 100.0
@@ -134,7 +139,7 @@ class JointLimits:
             dq: Joint velocities.
             period: Time for which the torque is held [s].
         """
-        most = _Viability(self, period)(q, dq)
+        most = _viability(self, period)(q, dq)
         return np.minimum(-most[q.size :], most[: q.size]), most[: q.size]
 
     def passed(
@@ -175,28 +180,17 @@ class JointLimits:
         return f"limits were passed: {'; '.join(told)}" if told else ""
 
 
-class _Viability:
-    """`JointLimits.accelerations` for one period, in the form of 2n upper bounds: for ddq, and for −ddq."""
-
-    def __init__(self, limits: JointLimits, period: float) -> None:
-        n = limits.lower.size
-        self.rate = min(RATE, 0.5 / period)
-        # Towards the lower limit everything is mirrored.
-        self.sides = np.vstack((np.eye(n), -np.eye(n)))
-        self.ends = np.concatenate((limits.upper, -limits.lower)) - ROOM * period**2
-        self.braking, self.acceleration = np.tile(limits.braking, 2), np.tile(limits.acceleration, 2)
-        self.fastest = self.rate * np.tile(limits.velocity, 2)
-
-    def __call__(self, q: JointVector, dq: JointVector) -> Vector:
-        b, rate = self.braking, self.rate
-        room, speed = self.ends - self.sides.dot(q), rate * self.sides.dot(dq)
-        # ρ V = root − b and V' = ρ b / root
-        root = np.sqrt(2.0 * rate**2 * b * np.maximum(room, 0.0) + b * b)
-        beyond = rate**2 * np.minimum(room, 0.0)
-        slower = 1.0 - beyond / self.fastest
-        most = root - b + beyond / slower - b / root * speed / slower**2
-        most = np.minimum(most, self.fastest) - speed
-        return np.minimum(np.maximum(most, -self.acceleration), self.acceleration)
+def _viability(limits: JointLimits, period: float) -> Viability:
+    """`JointLimits.accelerations` for one period."""
+    rate = min(RATE, 0.5 / period)
+    # Towards the lower limit everything is mirrored.
+    return Viability(
+        rate,
+        ends=np.concatenate((limits.upper, -limits.lower)) - ROOM * period**2,
+        fastest=rate * np.tile(limits.velocity, 2),
+        braking=np.tile(limits.braking, 2),
+        acceleration=np.tile(limits.acceleration, 2),
+    )
 
 
 def guaranteed_deceleration(robot: Robot, torque: JointVector, *, seed: int = 0) -> JointVector:
@@ -273,10 +267,10 @@ class LimitedEosController(EosController):
     def __setattr__(self, name: str, value: Any) -> None:
         super().__setattr__(name, number(value, "the control period", above=0.0) if name == "control_period" else value)
         if name in ("limits", "control_period") and "control_period" in vars(self):
-            self._viability = _Viability(self.limits, self.control_period)
+            self._viability = _viability(self.limits, self.control_period)
         if name in ("limits", "control_period", "gravity"):
             # It holds copies.
-            self.__dict__.pop("_compiled", None)
+            self.__dict__.pop("_kernel", None)
 
     def overload(self, q: JointVector | None = None) -> tuple[str, ...]:
         """Joints that cannot hold themselves against gravity, see `gravity_overload`; to be read before the start.
@@ -291,9 +285,10 @@ class LimitedEosController(EosController):
         return super().describe() | {"control_period": self.control_period, "limits": kept}
 
     @cached_property
-    def _compiled(self) -> Any:
-        kept, compiled = self._viability, getattr(kernels, "Limits", None)
-        return compiled and compiled(
+    def _kernel(self) -> Callable[..., tuple[JointVector, JointVector]]:
+        """Torque within all limits, and the change that they make in the joint acceleration."""
+        kept = self._viability
+        return Limits(
             self.control_period, kept.rate, kept.ends, kept.fastest, kept.braking, kept.acceleration,
             self.limits.torque, CLEAR, self._model, self._smallest,
         )  # fmt: skip
@@ -301,55 +296,4 @@ class LimitedEosController(EosController):
     def _within(
         self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
     ) -> tuple[JointVector, JointVector]:
-        found = None if self._compiled is None else self._compiled(q, dq, ddq, J)
-        return self._reference(q, dq, ddq, J) if found is None else found
-
-    def _reference(
-        self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
-    ) -> tuple[JointVector, JointVector]:
-        """Torque within all limits, and what they change in the joint acceleration; what is compiled does the same.
-
-        Args:
-            q: Joints.
-            dq: Joint velocities.
-            ddq: Joint acceleration that is asked for.
-            J: Jacobian of the task.
-        """
-        model, n, torque = self._model, q.size, self.limits.torque
-        most = self._viability(q, dq)
-        tau, change = model._inverse_dynamics(q, dq, ddq), np.zeros(n)
-        part = tau / torque
-        # Far from all limits nothing needs to be predicted.
-        if part.dot(part) < 1.0 and (most - self._viability.sides.dot(ddq)).min() > CLEAR:
-            return tau, change
-        most, least = most[:n], np.minimum(-most[n:], most[:n])
-        lower, upper = np.concatenate((least, -torque)), np.concatenate((most, torque))
-        # A held torque accelerates the joints, on average, as in the middle of the period.
-        shift = np.minimum(np.maximum(ddq, least), most)
-        middle, speed = self._middle(q, dq, shift)
-        mean = model._forward_dynamics(middle, speed, tau)
-        now = np.concatenate((mean, tau))
-        if (lower <= now).all() and (now <= upper).all():
-            return tau, change
-        # So that without a change the middle stays where it is, and the torque is continuous.
-        shift -= np.minimum(np.maximum(mean, least), most)
-        change = self._smallest(J, model._mass(middle), lower - now, upper - now)
-        # Where the middle is depends on the change.
-        mean += change
-        middle, speed = self._middle(q, dq, mean + shift)
-        tau = model._inverse_dynamics(middle, speed, mean)
-        if (np.abs(tau) > torque).any():
-            now, M = np.concatenate((mean, tau)), model._mass(middle)
-            least, most = lower - now, upper - now
-            # Who gives way to whom is settled.
-            least[:n], most[:n] = np.minimum(least[:n], 0.0), np.maximum(most[:n], 0.0)
-            more = self._smallest(J, M, least, most)
-            tau, change = tau + M.dot(more), change + more
-        # For rounding only.
-        return np.minimum(np.maximum(tau, -torque), torque), change
-
-    def _middle(self, q: JointVector, dq: JointVector, ddq: JointVector) -> tuple[JointVector, JointVector]:
-        """The state in the middle of the period."""
-        half = 0.5 * self.control_period
-        speed = dq + half * ddq
-        return q + 0.5 * half * (dq + speed), speed
+        return self._kernel(q, dq, ddq, J)

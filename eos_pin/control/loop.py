@@ -339,25 +339,29 @@ class StateMonitor:
 
     @property
     def last(self) -> tuple[float, JointVector]:
-        return self._last
+        return self._t, self._q
 
     @last.setter
     def last(self, state: tuple[float, JointVector]) -> None:
-        self._last = state[0], state[1].copy()
+        self._t, self._q = state[0], state[1].copy()
+        self._shape = self._q.shape
 
     def accepts(self, t: Any, q: Any, dq: Any) -> bool:
         """Whether a state is as usual; if it is, it is the last one now."""
-        t_last, q_last = self._last
         try:
-            moved = q - q_last
+            moved = q - self._q
             # The length of the move bounds each joint's, so the usual case is one product; NaN never passes.
-            near = moved.dot(moved) < self._jump_squared and t_last <= t < math.inf
-            usual = bool(near and math.isfinite(dq.dot(dq)) and q.shape == dq.shape == q_last.shape)
+            if (
+                not moved.dot(moved) < self._jump_squared
+                or not self._t <= t < math.inf
+                or not math.isfinite(dq.dot(dq))
+                or not q.shape == dq.shape == self._shape
+            ):
+                return False
         except (AttributeError, TypeError, ValueError):
             return False
-        if usual:
-            self.last = t, q
-        return usual
+        self._t, self._q = t, q.copy()
+        return True
 
 
 @use_compiled

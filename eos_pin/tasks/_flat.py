@@ -36,14 +36,19 @@ def pose_difference(z1: Point, z0: Point) -> TaskVector:
 
 
 @use_compiled
-def flat_pose(array: Array) -> Point | None:
-    """Flat pose from one or from a homogeneous matrix; None if it is not right to rounding."""
+def flat_pose(array: Array, tolerance: float) -> Point | None:
+    """Flat pose from one or from a homogeneous matrix; None if it is not right to rounding.
+
+    Args:
+        array: Flat pose, (12,), or homogeneous matrix, (4, 4).
+        tolerance: How far RᵀR may be from 1.
+    """
     if array.shape == (4, 4) and array[3].tolist() == [0.0, 0.0, 0.0, 1.0]:
         array = array.ravel()[FLAT]
     if array.shape != (12,) or not math.isfinite(array.dot(array)):
         return None
     R = array[3:].reshape(3, 3)
-    straight = np.abs(R.T.dot(R) - _IDENTITY).max() <= ORTHONORMAL and np.linalg.det(R) > 0.0
+    straight = np.abs(R.T.dot(R) - _IDENTITY).max() <= tolerance and np.linalg.det(R) > 0.0
     return array.copy() if straight else None
 
 
@@ -82,7 +87,7 @@ def checked_pose(value: PointLike, name: str) -> Point:
         InputError: No pose.
     """
     array = as_floats(value.homogeneous if isinstance(value, pin.SE3) else value, name)
-    z = flat_pose(array)
+    z = flat_pose(array, ORTHONORMAL)
     if z is not None:
         return z
     if array.shape == (4, 4):

@@ -9,10 +9,13 @@ from typing import Any
 import pinocchio as pin
 
 from eos_pin._arrays import Jacobian, JointVector, TaskVector
-from eos_pin._kernels.dispatch import kernels
+from eos_pin._kernels import plain_law
+from eos_pin._kernels.dispatch import use_compiled
 from eos_pin.robot.model import Robot
 from eos_pin.tasks._flat import FLAT
 from eos_pin.tasks.base import WORLD, Point, Task, TaskPoint
+
+Frame = use_compiled(plain_law.Frame)
 
 
 class FrameTask(Task):
@@ -43,19 +46,18 @@ class FrameTask(Task):
     def _drift(self, data: pin.Data) -> TaskVector:
         return pin.getFrameClassicalAcceleration(self._model, data, self._id, WORLD).vector[self._rows]
 
-    # -- the same, compiled ------------------------------------------------------------------------------------------
+    # -- the same, in one kernel -------------------------------------------------------------------------------------
 
     @cached_property
-    def compiled(self) -> Any:
-        """`value`, `linearize` and `at` in one compiled object; None if they are not."""
-        where = self._model, self._data, self._id, self._part, self._rows, TaskPoint
-        return kernels and kernels.Frame(*where)
+    def kernel(self) -> Any:
+        """`value`, `linearize` and `at` in one object, compiled where there is a compiler."""
+        return Frame(self._model, self._data, self._id, self._part, self._rows, TaskPoint)
 
     def value(self, q: JointVector) -> Point:
-        return self.compiled.value(q) if self.compiled else super()._value(q)
+        return self.kernel.value(q)
 
     def linearize(self, q: JointVector) -> tuple[Point, Jacobian]:
-        return self.compiled.linearize(q) if self.compiled else super()._linearize(q)
+        return self.kernel.linearize(q)
 
     def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
-        return self.compiled.at(q, dq) if self.compiled else super()._at(q, dq)
+        return self.kernel.at(q, dq)

@@ -18,10 +18,13 @@ from eos_pin._arrays import (
     number,
     vector,
 )
-from eos_pin._kernels.dispatch import kernels
+from eos_pin._kernels import plain_parts
+from eos_pin._kernels.dispatch import use_compiled
 from eos_pin.errors import InputError
 from eos_pin.tasks.base import Point
 from eos_pin.trajectories.base import Target, Trajectory
+
+Curve = use_compiled(plain_parts.Curve)
 
 
 @checked
@@ -112,16 +115,7 @@ class Waves:
     @cached_property
     def at(self) -> Callable[[float], Target]:
         """The target at a time."""
-        if not kernels:
-            return self._reference
-        curve: Callable[[float], Target] = kernels.Curve(self.phase, self.frequencies, self._rows, *self._cuts, Target)
-        return curve
-
-    def _reference(self, t: float) -> Target:
-        """Target at time t; what is compiled does the same."""
-        angles = (np.asarray(self.frequencies) * (t + self.phase)).tolist()
-        together = np.dot([wave for angle in angles for wave in (math.sin(angle), math.cos(angle))] + [1.0], self._rows)
-        return Target(*np.split(together, self._cuts))
+        return Curve(self.phase, self.frequencies, self._rows, *self._cuts, Target)
 
 
 def line(center: VectorLike, stroke: VectorLike, *, period: float) -> Harmonic:

@@ -1,4 +1,4 @@
-"""Compiled twins give what their originals give, to rounding."""
+"""Compiled kernels give what their plain forms give, to rounding, in at least 1,000 states each."""
 
 from __future__ import annotations
 
@@ -6,71 +6,109 @@ import os
 import pickle
 import subprocess
 import sys
+from itertools import product
 
-import checks
 import numpy as np
 import pinocchio as pin
 import pytest
 from checks import EXACT, all_tasks, exact, random_state, tip
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from eos_pin import (
     Chart,
-    ControlLoop,
     EosController,
     Hold,
+    JointLimits,
+    LimitedEosController,
     OrientationTask,
     PoseTask,
     PositionTask,
-    TaskForce,
     Track,
 )
-from eos_pin._kernels.dispatch import REFERENCES, kernels
+from eos_pin._kernels import tracing
+from eos_pin._kernels.dispatch import COMPILED, DONE, REFERENCES, UNDECIDED, kernels, use_compiled
+from eos_pin._kernels.kinematics import MOST_NODES, SHORTEST
+from eos_pin.control import loop
 from eos_pin.control._regularize import AccelerationMap
-from eos_pin.tasks.base import Task
+from eos_pin.planning.bodies import Bodies, Clearances
+from eos_pin.planning.scene import Box, Capsule, Scene
+from eos_pin.simulation import _systems
+from eos_pin.tasks._flat import ORTHONORMAL
 from eos_pin.trajectories.base import Target
 from eos_pin.trajectories.harmonic import Waves
 
-pytestmark = pytest.mark.skipif(
-    kernels is None and "EOS_PIN_NEEDS_COMPILER" not in os.environ, reason="installed without a C compiler"
-)
+pytestmark = [
+    pytest.mark.skipif(
+        kernels is None and "EOS_PIN_NEEDS_COMPILER" not in os.environ, reason="installed without a C compiler"
+    ),
+    # Calls by the ten thousand.
+    pytest.mark.usefixtures("unchecked"),
+]
 TASKS = [(name, task) for name, task in all_tasks() if isinstance(task, PositionTask | OrientationTask | PoseTask)]
 frame_tasks = pytest.mark.parametrize("task", [task for _, task in TASKS], ids=[name for name, _ in TASKS])
-floats = st.floats(-10.0, 10.0)
-#: How many numbers a vector has.
-sizes = st.integers(1, 12)
-
-
-def vectors(size, elements=floats):
-    return arrays(float, size, elements=elements)
+#: So many states at least are computed by both forms; of one task where there are several.
+STATES = 1000
+SHARE = -(-STATES // len(TASKS))
 
 
 def both(name, *arguments):
-    """What the twin says, and what the original does."""
+    """The results of the compiled and of the plain form."""
     return getattr(kernels, name)(*arguments), REFERENCES[name](*arguments)
 
 
-def test_where_there_is_a_compiler_there_are_twins():
-    assert ControlLoop, TaskForce  # their modules have twins, too, and have been imported
+def plain_form(kernel):
+    """The plain form of a compiled object, made from the same arguments."""
+    kind, arguments = kernel.__reduce__()
+    return REFERENCES[kind.__name__](
+        *(plain_form(part) if isinstance(part, kernels.Frame) else part for part in arguments)
+    )
+
+
+def states(robot, seed, count):
+    """Random joints and velocities."""
+    random = np.random.default_rng(seed)
+    lower, upper = np.clip(robot.lower, -np.pi, np.pi), np.clip(robot.upper, -np.pi, np.pi)
+    return zip(random.uniform(lower, upper, (count, robot.n)), random.normal(size=(count, robot.n)), strict=True)
+
+
+def vectors(seed, count=STATES):
+    """A random generator and a size for each state."""
+    random = np.random.default_rng(seed)
+    return [(random, int(random.integers(1, 13))) for _ in range(count)]
+
+
+def test_where_there_is_a_compiler_there_are_compiled_kernels():
+    assert loop, _systems  # they choose kernels, and have been imported
     assert kernels is not None
-    assert len(REFERENCES) == 8
-    assert all(hasattr(kernels, name) for name in REFERENCES)
+    assert set(REFERENCES) == set(COMPILED["law"] + COMPILED["parts"])
+    assert set(vars(kernels)) == {name for names in COMPILED.values() for name in names}
 
 
-@given(data=st.data())
-def test_the_watch_of_the_loop(data):
-    n = data.draw(sizes)
-    odd = st.one_of(floats, st.sampled_from([np.nan, np.inf, -np.inf]))
-    first = data.draw(floats), data.draw(vectors(n)), data.draw(st.floats(0.1, 1e4))
-    watches = both("StateMonitor", *first)
-    for _ in range(4):
-        state = data.draw(odd), data.draw(vectors(n, odd)), data.draw(vectors(n, odd))
-        use_compiled, original = (watch.accepts(*state) for watch in watches)
-        assert use_compiled is original
-        for one, other in zip(*(watch.last for watch in watches), strict=True):
-            np.testing.assert_array_equal(one, other)
+def test_kernel_that_is_not_listed_is_refused():
+    def log3():
+        """The name of something else that `parts` imports."""
+
+    with pytest.raises(AssertionError, match="not in the list"):
+        use_compiled(log3)
+
+
+# -- smaller kernels ------------------------------------------------------------------------------------------------
+
+
+def test_state_monitors_agree():
+    accepted = 0
+    for random, n in vectors(1):
+        first = random.normal(), random.normal(size=n), random.uniform(0.1, 10.0)
+        watches = both("StateMonitor", *first)
+        for _ in range(4):
+            t, q, dq = first[0] + random.normal(0.3), first[1] + 0.3 * random.normal(size=n), random.normal(size=n)
+            if random.random() < 0.2:
+                (q if random.random() < 0.5 else dq)[random.integers(n)] = random.choice([np.nan, np.inf, -np.inf])
+            compiled, plain = (watch.accepts(t, q, dq) for watch in watches)
+            assert compiled is plain
+            accepted += compiled
+            for one, other in zip(*(watch.last for watch in watches), strict=True):
+                np.testing.assert_array_equal(one, other)
+    assert STATES <= accepted < 4 * STATES
     t, q = watches[0].last
     for watch in (watches[0], pickle.loads(pickle.dumps(watches[0])), watches[1]):
         assert watch.accepts(t + 1.0, q, q)
@@ -81,7 +119,7 @@ def test_the_watch_of_the_loop(data):
 @pytest.mark.parametrize(
     "q", [[0.0, 0.0], None, "ab", np.zeros(3), np.zeros((2, 1)), np.zeros(2, int), np.zeros(4)[::2]]
 )
-def test_what_is_unusual_is_looked_at_more_closely(q):
+def test_state_monitor_leaves_unusual_states_to_a_closer_look(q):
     zero = np.zeros(2)
     watch = kernels.StateMonitor(0.0, zero, 1.0)
     for state in ((0.0, q, zero), (0.0, zero, q), (None, zero, zero), ("now", zero, zero)):
@@ -89,83 +127,96 @@ def test_what_is_unusual_is_looked_at_more_closely(q):
     assert kernels.within_limits_fast(q, np.ones(2)) is False
 
 
-@given(data=st.data())
-def test_the_watch_of_torques(data):
-    n = data.draw(sizes)
-    tau, per_limit = data.draw(vectors(n)), np.abs(data.draw(vectors(n)))
-    assert len({*both("within_limits_fast", tau, per_limit)}) == 1
-    tau[0] = np.nan
-    assert kernels.within_limits_fast(tau, per_limit) is False
+def test_torque_checks_agree():
+    inside = 0
+    for random, n in vectors(2):
+        tau, per_limit = random.normal(size=n), random.uniform(0.0, 0.8, n)
+        compiled, plain = both("within_limits_fast", tau, per_limit)
+        assert compiled is plain
+        inside += compiled
+        tau[0] = np.nan
+        assert both("within_limits_fast", tau, per_limit) == (False, False)
+    assert 0.2 * STATES < inside < 0.95 * STATES
 
 
-@given(data=st.data())
-def test_waves(data):
-    terms, size, m = (data.draw(st.integers(*range_)) for range_ in ((0, 4), (1, 12), (1, 6)))
-    blocks = [data.draw(arrays(float, (2 * terms + 1, width), elements=floats)) for width in (size, m, m)]
-    curve, t = Waves(data.draw(floats), data.draw(vectors(terms)), *blocks), data.draw(floats)
-    for found in (curve.at(t), pickle.loads(pickle.dumps(curve.at))(t)):
-        assert type(found) is Target
-        for use_compiled, original in zip(found, curve._reference(t), strict=True):
-            np.testing.assert_allclose(use_compiled, original, rtol=0.0, atol=EXACT * 100)
+def test_curves_agree():
+    for random, width in vectors(3):
+        terms, m = random.integers(0, 5), random.integers(1, 7)
+        blocks = [random.normal(size=(2 * terms + 1, columns)) for columns in (width, m, m)]
+        compiled = Waves(random.normal(), 10.0 * random.random(terms), *blocks).at
+        t = 10.0 * random.normal()
+        expected = plain_form(compiled)(t)
+        for found in (compiled(t), pickle.loads(pickle.dumps(compiled))(t)):
+            assert type(found) is type(expected) is Target
+            for one, other in zip(found, expected, strict=True):
+                np.testing.assert_allclose(one, other, rtol=0.0, atol=100.0 * EXACT)
 
 
-@given(turns=arrays(float, (2, 3), elements=st.floats(-4.0, 4.0)), places=arrays(float, (2, 3), elements=floats))
-def test_pose_difference(turns, places):
-    poses = [np.concatenate((p, pin.exp3(turn).ravel())) for p, turn in zip(places, turns, strict=True)]
-    use_compiled, original = both("pose_difference", *poses)
-    # Half a turn away a rotation vector and its opposite are the same.
-    R, S = (pin.exp3(delta[3:]) for delta in (use_compiled, original))
-    np.testing.assert_array_equal(use_compiled[:3], original[:3])
-    np.testing.assert_allclose(R, S, atol=1e-7)
+def test_pose_differences_agree():
+    random = np.random.default_rng(4)
+    for _ in range(STATES):
+        poses = [np.concatenate((random.normal(size=3), pin.exp3(2.0 * random.normal(size=3)).ravel())) for _ in "ab"]
+        compiled, plain = both("pose_difference", *poses)
+        np.testing.assert_array_equal(compiled[:3], plain[:3])
+        # Half a turn away a rotation vector and its opposite are the same.
+        np.testing.assert_allclose(pin.exp3(compiled[3:]), pin.exp3(plain[3:]), atol=1e-7)
     with pytest.raises(ValueError, match="a vector of 12 numbers"):
         kernels.pose_difference(poses[0], np.zeros(3))
 
 
-@given(turn=vectors(3), place=vectors(3), odd=st.sampled_from([0.0, 1e-9, 1.0, np.nan, np.inf]))
-def test_flat_pose(turn, place, odd):
-    matrix = pin.SE3(pin.exp3(turn), place).homogeneous
-    flat = np.concatenate((place, matrix[:3, :3].ravel()))
-    # Whether what is right to rounding counts as such is a matter of rounding.
-    for use_compiled, original in (both("flat_pose", matrix), both("flat_pose", flat)):
-        for found in (use_compiled, original):
-            assert found is None or np.array_equal(found, flat)
-    np.testing.assert_array_equal(kernels.flat_pose(np.eye(4)), REFERENCES["flat_pose"](np.eye(4)))
-    disturbed = np.eye(4)
-    disturbed[[0, 3], [1, 2]] += odd
-    for wrong in (flat[:11], matrix[:3], -matrix, np.diag([1.0, 1.0, -1.0, 1.0]), disturbed):
-        use_compiled, original = both("flat_pose", wrong)
-        assert (use_compiled is None) == (original is None)
+def test_flat_poses_agree():
+    random, found = np.random.default_rng(5), 0
+    for _ in range(STATES):
+        matrix = pin.SE3(pin.exp3(random.normal(size=3)), random.normal(size=3)).homogeneous
+        flat = np.concatenate((matrix[:3, 3], matrix[:3, :3].ravel()))
+        for given in (matrix, flat):
+            results = both("flat_pose", given, ORTHONORMAL)
+            # Whether what is right to rounding counts as such is a matter of rounding.
+            for result in results:
+                assert result is None or np.array_equal(result, flat)
+            found += None not in [None if result is None else "pose" for result in results]
+        disturbed = np.eye(4)
+        disturbed[[0, 3], [1, 2]] += random.choice([0.0, 1e-9, 1.0, np.nan, np.inf])
+        for wrong in (flat[:11], matrix[:3], -matrix, np.diag([1.0, 1.0, -1.0, 1.0]), disturbed):
+            compiled, plain = both("flat_pose", wrong, ORTHONORMAL)
+            assert (compiled is None) == (plain is None)
+    assert found >= STATES
 
 
-@given(data=st.data())
-def test_the_parts_of_newtons_method(data):
-    m = data.draw(st.integers(1, 7))
-    n = m + data.draw(st.integers(0, 4))
-    J, U = (data.draw(arrays(float, shape, elements=floats)) for shape in ((m, n), (n, m)))
-    u, error, base = (data.draw(vectors(size)) for size in (m, m, n))
-    assert both("largest", error) == (np.abs(error).max(),) * 2
-    assert kernels.largest(np.array([1.0, np.nan, 3.0])) != kernels.largest(np.array([1.0, np.nan, 3.0]))
-    B, original = both("on_chart_inverse", J, U)
-    if np.linalg.cond(J @ U) < 1e6:
-        assert (B is None) == (original is None) == (np.linalg.det(J @ U) < 0.0)
-    if B is not None and np.linalg.cond(J @ U) < 1e6:
-        np.testing.assert_allclose(B, original, rtol=0.0, atol=exact(J @ U))
-        for use_compiled, plain in zip(*both("newton_step", base, U, u, original, error), strict=True):
-            np.testing.assert_allclose(use_compiled, plain, rtol=0.0, atol=EXACT * (1.0 + np.abs(original).max()) * 1e4)
+def test_parts_of_newtons_method_agree():
+    random, regular = np.random.default_rng(6), 0
+    for _ in range(3 * STATES):
+        m, more = random.integers(1, 8), random.integers(0, 5)
+        J, U = random.normal(size=(m, m + more)), random.normal(size=(m + more, m))
+        u, error, base = random.normal(size=m), random.normal(size=m), random.normal(size=m + more)
+        assert both("largest", error) == (np.abs(error).max(),) * 2
+        compiled, plain = both("on_chart_inverse", J, U)
+        if (condition := np.linalg.cond(J @ U)) > 1e6:
+            continue
+        assert (compiled is None) == (plain is None) == (np.linalg.det(J @ U) < 0.0)
+        if compiled is not None:
+            regular += 1
+            np.testing.assert_allclose(compiled, plain, rtol=0.0, atol=EXACT * condition * np.abs(plain).max())
+            for one, other in zip(*both("newton_step", base, U, u, plain, error), strict=True):
+                np.testing.assert_allclose(one, other, rtol=0.0, atol=1e3 * EXACT * (1.0 + np.abs(plain).max()))
+    assert regular >= STATES
     assert kernels.on_chart_inverse(0.0 * J, U) is None
+    assert kernels.largest(np.array([1.0, np.nan, 3.0])) != kernels.largest(np.array([1.0, np.nan, 3.0]))
 
 
-def test_arrays_of_another_kind_are_taken_or_refused():
+def test_kernels_take_or_refuse_arrays_of_another_kind():
     """A task of one's own may return what it likes."""
     J, U, base = np.ones((2, 3)) + np.eye(2, 3), np.eye(3, 2), np.arange(3.0)
     B, error = np.eye(2), np.array([1.0, 2.0])
     expected = kernels.newton_step(base, U, error, B, error)
+    drive = kernels.AccelerationMap(np.eye(3)[2:], np.eye(3)[:2], np.inf, 1.0, 1.0, 1.0)
     for kind in (np.float32, int, np.longdouble):
         found = kernels.newton_step(base.astype(kind), U, error.astype(kind), B.astype(kind), error.astype(kind))
         for one, other in zip(found, expected, strict=True):
             np.testing.assert_allclose(one, other)
         np.testing.assert_allclose(kernels.on_chart_inverse(J.astype(kind), U), kernels.on_chart_inverse(J, U))
         assert kernels.largest(error.astype(kind)) == 2.0
+        np.testing.assert_allclose(drive(J.astype(kind), base.astype(kind), base)[1], drive(J, base, base)[1])
     for one, other in zip(
         kernels.newton_step(base[::-1][::-1], U, error, B, np.repeat(error, 2)[::2]), expected, strict=True
     ):
@@ -176,84 +227,222 @@ def test_arrays_of_another_kind_are_taken_or_refused():
         kernels.on_chart_inverse(J.T, U)
 
 
-@given(data=st.data())
-def test_the_rate_of_the_state(data):
-    n = data.draw(sizes)
-    dq, ddq, tau = (data.draw(vectors(n)) for _ in range(3))
-    for arguments in ((dq, ddq, tau), (dq[::-1], ddq, tau)):
-        np.testing.assert_allclose(*both("state_rate", *arguments), rtol=0.0, atol=EXACT * 1e3)
+def test_state_rates_agree():
+    for random, n in vectors(7):
+        dq, ddq, tau = random.normal(size=(3, n))
+        for arguments in ((dq, ddq, tau), (dq[::-1], ddq, tau)):
+            np.testing.assert_allclose(*both("state_rate", *arguments), rtol=0.0, atol=100.0 * EXACT)
+
+
+# -- the control step -----------------------------------------------------------------------------------------------
 
 
 @frame_tasks
-@given(data=st.data())
-def test_tasks_of_frames(task, data):
-    q, dq = data.draw(checks.joints(task.robot)), data.draw(checks.velocities(task.robot))
-    for name, state in (("value", (q,)), ("linearize", (q,)), ("at", (q, dq))):
-        use_compiled, original = getattr(task, name)(*state), getattr(Task, name)(task, *state)
-        assert type(use_compiled) is type(original)
-        for one, other in zip(
-            *([use_compiled], [original]) if name == "value" else (use_compiled, original), strict=True
-        ):
-            assert one.shape == other.shape
-            np.testing.assert_allclose(one, other, rtol=0.0, atol=EXACT * (1.0 + np.abs(dq).max() ** 2))
+def test_tasks_of_frames_agree(task):
+    plain, count = plain_form(task.kernel), 0
+    for q, dq in states(task.robot, 8, SHARE):
+        count += 1
+        for name, arguments in (("value", (q,)), ("linearize", (q,)), ("at", (q, dq))):
+            compiled, expected = getattr(task, name)(*arguments), getattr(plain, name)(*arguments)
+            assert type(compiled) is type(expected)
+            for one, other in zip(*([compiled], [expected]) if name == "value" else (compiled, expected), strict=True):
+                assert one.shape == other.shape
+                np.testing.assert_allclose(one, other, rtol=0.0, atol=EXACT * (1.0 + 10.0 * np.abs(dq).max() ** 2))
+    assert count * len(TASKS) >= STATES
 
 
 @frame_tasks
-@given(data=st.data())
-def test_the_drive(task, data):
-    q = data.draw(checks.joints(task.robot))
-    if np.linalg.cond(task.linearize(q)[1]) > 1e3:
-        return
-    drive = AccelerationMap(Chart.from_base(task, q))
-    q = q + 0.3 * data.draw(checks.numbers(task.robot.n))
-    J, F, dq = task.linearize(q)[1], data.draw(checks.numbers(task.robot.n)), data.draw(checks.velocities(task.robot))
-    use_compiled, original = drive._compiled(J, F, dq), drive._reference(J, F, dq)
-    if use_compiled is not None:
-        A = np.vstack((J, drive.chart.Vt))
-        np.testing.assert_allclose(use_compiled[0], original[0], rtol=0.0, atol=exact(A, scale=10.0))
-        assert use_compiled[1] == pytest.approx(original[1], abs=exact(A))
-    assert drive._compiled(0.0 * J, F, dq) is None
-    assert drive._compiled(J, F.astype(np.float32), dq) is None
+def test_acceleration_maps_agree(task):
+    random, regular, fading = np.random.default_rng(9), 0, 0
+    while regular < SHARE:
+        q_bar, _ = random_state(task.robot, random)
+        if np.linalg.cond(task.linearize(q_bar)[1]) > 1e3:
+            continue
+        drive = AccelerationMap(Chart.from_base(task, q_bar))
+        compiled, plain = drive._kernel, plain_form(drive._kernel)
+        for _ in range(10):
+            J = task.linearize(q_bar + 0.3 * random.normal(size=task.robot.n))[1]
+            F, dq = random.normal(size=task.robot.n), random.choice([1.0, 10.0]) * random.normal(size=task.robot.n)
+            one, other = compiled(J, F, dq), plain(J, F, dq)
+            A = np.vstack((J, drive.chart.Vt))
+            if np.linalg.cond(A) < 1e6:
+                assert one[0] == other[0]
+            if one[0] != DONE or other[0] != DONE:
+                fading += 1
+                continue
+            regular += 1
+            np.testing.assert_allclose(one[1], other[1], rtol=0.0, atol=exact(A, scale=10.0 * np.abs(other[1]).max()))
+            assert one[2] == pytest.approx(other[2], abs=exact(A, A))
+    assert compiled(0.0 * J, F, dq)[0] == plain(0.0 * J, F, dq)[0] == UNDECIDED
+    assert compiled(J, F, np.nan * dq)[0] == plain(J, F, np.nan * dq)[0] == UNDECIDED
 
 
-@pytest.mark.parametrize("feedforward", [True, False])
-@pytest.mark.parametrize("carried", [True, False])
 @frame_tasks
-@given(data=st.data())
-def test_the_tracking_law(task, feedforward, carried, data):
-    robot = task.robot
-    random = np.random.default_rng(data.draw(st.integers(0, 10**6)))
-    q_bar, r = random_state(robot, random)[0], robot.n - task.m
-    if np.linalg.norm(np.linalg.pinv(task.linearize(q_bar)[1]), 2) > 10.0:
-        return
-    target, gains = Hold(task.value(q_bar), task.m), random.uniform(5.0, 10.0, (4, robot.n))
-    kp, kd, kp_v, kd_v = gains[0, : task.m], gains[1, : task.m], gains[2, :r], gains[3, :r]
-    track = Track(random.uniform(-0.1, 0.1, r), kp=kp_v, kd=kd_v)
-    controller = EosController(task, target, track, kp=kp, kd=kd, feedforward=feedforward)
+def test_tracking_laws_agree(task):
+    robot, random, regular = task.robot, np.random.default_rng(10), 0
+    m, r = task.m, robot.n - task.m
+    variants = list(product([True, False], [True, False]))
+    while regular < SHARE:
+        q_bar = random_state(robot, random)[0]
+        if np.linalg.norm(np.linalg.pinv(task.linearize(q_bar)[1]), 2) > 10.0:
+            continue
+        gains = random.uniform(5.0, 10.0, (4, robot.n))
+        track = Track(random.uniform(-0.1, 0.1, r), kp=gains[2, :r], kd=gains[3, :r])
+        controller = EosController(task, Hold(task.value(q_bar), m), track, kp=gains[0, :m], kd=gains[1, :m])
+        law = pickle.loads(pickle.dumps(controller.start(0.0, q_bar, 0.0 * q_bar).law))
+        plain = plain_form(law)
+        for moving, carried in variants:
+            q, dq = q_bar + random.uniform(-0.1, 0.1, robot.n), random.uniform(-2.0, 2.0, robot.n)
+            dz_d, ddz_d = moving * random.normal(size=(2, m))
+            state = q, dq, task.value(q_bar), dz_d, ddz_d, random.normal(size=r) if carried else None
+            one, other = law(*state), plain(*state)
+            if one[0] != DONE or other[0] != DONE:
+                continue
+            regular += 1
+            tolerance = exact(np.vstack((one[3], plain.Vt)), scale=100.0)
+            np.testing.assert_allclose(one[1], other[1], rtol=0.0, atol=tolerance)
+            assert one[2] == pytest.approx(other[2], abs=tolerance)
+            np.testing.assert_allclose(one[3], other[3], rtol=0.0, atol=10.0 * EXACT)
+
+
+def test_plain_tracking_law_is_the_law_in_full(panda):
+    """Against `EosController.asked` and one solve with [G'; Vᵀ]."""
+    task, random = PoseTask(panda, tip(panda)), np.random.default_rng(11)
+    q_bar = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
+    controller = EosController(task, Hold(task.value(q_bar), 6))
     state = controller.start(0.0, q_bar, 0.0 * q_bar)
-    q, dq = q_bar + random.uniform(-0.1, 0.1, robot.n), random.uniform(-2.0, 2.0, robot.n)
-    point, more = task.at(q, dq), random.uniform(-1.0, 1.0, r) if carried else None
-    law = pickle.loads(pickle.dumps(state.law))
-    z_d, dz_d, ddz_d = target(0.0)
-    use_compiled = law(q, dq, z_d, dz_d, ddz_d, more)
-    F = controller.asked(0.0, q, dq, state.chart, point)
-    if carried:
-        F[task.m :] += more
-    original = state.drive._reference(point.J, F, dq)
-    if use_compiled is not None:
-        tolerance = exact(np.vstack((point.J, state.chart.Vt)), scale=np.linalg.norm(F))
-        np.testing.assert_allclose(use_compiled[0], original[0], rtol=0.0, atol=tolerance)
-        assert use_compiled[1] == pytest.approx(original[1], abs=tolerance)
+    for form in (state.law, plain_form(state.law)):
+        q, dq = q_bar + random.uniform(-0.1, 0.1, 7), random.uniform(-1.0, 1.0, 7)
+        status, ddq, margin, J = form(q, dq, *controller.reference(0.0), None)
+        F = controller.asked(0.0, q, dq, state.chart, task.at(q, dq))
+        assert status == DONE
+        np.testing.assert_allclose(ddq, np.linalg.solve(np.vstack((J, state.chart.Vt)), F), atol=1e-10)
+        assert 0.0 < margin <= state.chart.margin(J) + 1e-12
 
 
-def test_tasks_are_copied_with_their_twins(panda):
+@pytest.mark.parametrize("period", [1e-3, 1e-2])
+def test_limits_agree(panda, period):
+    task, random, active = PositionTask(panda, tip(panda)), np.random.default_rng(12), 0
+    limits = JointLimits.from_robot(panda)
+    controller = LimitedEosController(
+        task, Hold(task.value(0.5 * (panda.lower + panda.upper))), limits=limits, control_period=period
+    )
+    compiled, plain = controller._kernel, plain_form(controller._kernel)
+    for _ in range(STATES):
+        size = random.choice([1.0, 30.0, 1000.0])
+        # A beta distribution that favours the ends of the range.
+        q = panda.lower + (panda.upper - panda.lower) * random.beta(0.5, 0.5, 7)
+        dq, ddq = panda.velocity * random.normal(size=7) / 3.0, size * random.normal(size=7)
+        J = task.linearize(q)[1]
+        one, other = compiled(q, dq, ddq, J), plain(q, dq, ddq, J)
+        active += one[1].any()
+        for x, y in zip(one, other, strict=True):
+            np.testing.assert_allclose(x, y, rtol=1e-6, atol=1e-6 * size)
+    assert STATES // 10 < active < STATES
+
+
+def test_limits_far_from_all_of_them_change_nothing(panda):
+    """The box in which the plain form looks no further lies where the bounds leave room."""
+    task = PositionTask(panda, tip(panda))
+    controller = LimitedEosController(task, Hold(task.value(0.5 * (panda.lower + panda.upper))))
+    plain, random = plain_form(controller._kernel), np.random.default_rng(13)
+    for _ in range(STATES):
+        # On the surface of the box.
+        x = random.uniform(-1.0, 1.0, 21)
+        x[random.integers(21)] = random.choice([-1.0, 1.0])
+        q, dq, ddq = (plain._middle + x / plain._per_half).reshape(3, 7)
+        least, most = controller.limits.accelerations(q, dq, controller.control_period)
+        assert (ddq - least >= 20.0 - 1e-9).all()
+        assert (most - ddq >= 20.0 - 1e-9).all()
+
+
+# -- kinematics of many states --------------------------------------------------------------------------------------
+
+
+@frame_tasks
+def test_kinematics_of_many_states_agree(task):
+    kinematics = task.kinematics
+    assert kinematics.compiled
+    Q = np.array([q for q, _ in states(task.robot, 14, STATES // 2)])
+    Z, J = kinematics.linearize(Q)
+    plain_Z, plain_J = kinematics._plain.linearize(Q)
+    np.testing.assert_allclose(Z, plain_Z, atol=10.0 * EXACT)
+    np.testing.assert_allclose(J, plain_J, atol=10.0 * EXACT)
+    np.testing.assert_allclose(kinematics.value(Q), plain_Z, atol=10.0 * EXACT)
+    steps, plain_steps = kinematics.minus(Z[1:], Z[:-1]), kinematics._plain.minus(Z[1:], Z[:-1])
+    # Half a turn away a rotation vector and its opposite are the same.
+    small = (np.linalg.norm(plain_steps[:, -3:], axis=1) < 3.0) | (task.m == task.size)
+    assert len(TASKS) * small.sum() >= STATES
+    np.testing.assert_allclose(steps[small], plain_steps[small], atol=1e-9)
+
+
+def test_searches_agree(panda):
+    task, random = PoseTask(panda, tip(panda)), np.random.default_rng(15)
+    Q = random.uniform(0.8 * panda.lower + 0.2 * panda.upper, 0.2 * panda.lower + 0.8 * panda.upper, (STATES, 7))
+    Z = task.kinematics.value(Q)
+    starts = Q + 0.1 * random.normal(size=Q.shape)
+    arguments = Z, panda.lower, panda.upper, 1e-10, 10, False
+    found, left, steps = task.kinematics._chain.search(starts, *arguments)
+    plain, plain_left, plain_steps = task.kinematics._plain.search(starts, *arguments)
+    done = (left <= 1e-10) & (plain_left <= 1e-10)
+    assert done.sum() >= 0.9 * STATES
+    np.testing.assert_array_equal(left <= 1e-10, plain_left <= 1e-10)
+    np.testing.assert_allclose(found[done], plain[done], atol=1e-7)
+    np.testing.assert_array_equal(steps[done], plain_steps[done])
+
+
+def test_tangents_and_traces_agree(panda):
+    task = PoseTask(panda, tip(panda))
+    kinematics, random = task.kinematics, np.random.default_rng(16)
+    nodes, units = [], []
+    while sum(map(len, nodes)) < STATES:
+        q = random.uniform(panda.lower, panda.upper)
+        z = task.value(q)
+        curve = kinematics.trace(q)
+        if curve.ends != ("closed", "closed"):
+            continue
+        plain, _, end = tracing.trace(
+            kinematics._plain, q, z, kinematics.revolute, 1.0, 0.1, 0.2, 300.0, SHORTEST, 1e-11, MOST_NODES
+        )
+        assert end == tracing.CLOSED
+        np.testing.assert_allclose(curve.q, plain, atol=1e-7)
+        T, regular = kinematics.tangents(curve.q, z)
+        plain_T, plain_regular = tracing.tangents(kinematics._plain, curve.q, z)
+        np.testing.assert_allclose(T, plain_T, atol=1e-9)
+        np.testing.assert_allclose(regular, plain_regular, atol=1e-10)
+        nodes.append(curve.q)
+        units.append(curve.t)
+    Q, T = np.concatenate(nodes), np.concatenate(units)
+    shifted = Q + 0.01 * random.normal(size=Q.shape)
+    arguments = shifted, T, nodes[0][:-1], units[0][:-1], kinematics.revolute
+    number, gap = kernels.nearest(*arguments[:4], kinematics.revolute.astype(np.uint8))
+    plain_number, plain_gap = tracing.nearest(*arguments)
+    np.testing.assert_array_equal(number, plain_number)
+    np.testing.assert_allclose(gap, plain_gap, atol=10.0 * EXACT)
+
+
+def test_distances_agree(panda):
+    capsules = {f"panda_link{i}": Capsule([0, 0, 0], [0, 0.02, 0.1], 0.06) for i in (2, 4, 6)}
+    scene = Scene([Box([0.4, 0.1, 0.6], [0.2, 0.1, 0.3], [0.8, 0.6, 0.0, 0.0])])
+    clear = Clearances(Bodies.of(panda, capsules), scene)
+    Q = np.array([q for q, _ in states(panda, 17, STATES)]).T
+    compiled = clear.pairs(Q)
+    assert clear._chain is not None
+    clear._chain = None
+    np.testing.assert_allclose(compiled, clear.pairs(Q), atol=1e-12)
+
+
+# -- the whole ------------------------------------------------------------------------------------------------------
+
+
+def test_tasks_are_copied_with_their_kernels(panda):
     q, dq = random_state(panda, seed=3)
     task = PoseTask(panda, tip(panda))
     expected = task.at(q, dq)
-    again = pickle.loads(pickle.dumps(task.compiled))
-    task.value(0.0 * q)
-    for one, other in zip(again.at(q, dq), expected, strict=True):
-        np.testing.assert_array_equal(one, other)
+    for kernel in (pickle.loads(pickle.dumps(task.kernel)), pickle.loads(pickle.dumps(plain_form(task.kernel)))):
+        task.value(0.0 * q)
+        for one, other in zip(kernel.at(q, dq), expected, strict=True):
+            np.testing.assert_allclose(one, other, rtol=0.0, atol=10.0 * EXACT)
 
 
 STEP = """
@@ -268,7 +457,7 @@ print(kernels is None, *loop.step(0.0, q, 0.1 * q))
 """
 
 
-def test_the_originals_do_it_all_where_nothing_is_compiled():
+def test_plain_kernels_do_it_all_where_nothing_is_compiled():
     found = {}
     for switch in ("0", "1"):
         done = subprocess.run(

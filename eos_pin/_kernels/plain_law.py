@@ -1,0 +1,249 @@
+"""A control step in NumPy: tasks of one frame, and accelerations by a tracking law on a chart; `law` has it compiled.
+
+Objects hold workspaces, so each is for one thread.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+from numpy import multiply, subtract
+from pinocchio import (
+    LOCAL_WORLD_ALIGNED as WORLD,
+)
+from pinocchio import (
+    computeJointJacobians,
+    forwardKinematics,
+    getFrameClassicalAcceleration,
+    getFrameJacobian,
+    updateFramePlacement,
+)
+from scipy.linalg.lapack import dgesv
+
+from eos_pin._arrays import Array, Jacobian, JointVector, SelfMotionVector, TaskVector, Vector
+from eos_pin._kernels.dispatch import DONE, UNDECIDED
+
+
+class Frame:
+    """Task point, Jacobian, velocity and drift of a task that is part of a frame's pose.
+
+    Args:
+        model: Pinocchio model.
+        workspace: Its workspace.
+        index: Number of the frame.
+        part: Which numbers of the flat pose, the position followed by the rotation row by row, are the task point.
+        rows: Which of (velocity of the origin, angular velocity) are the task's velocity.
+        point_type: Named tuple that `at` returns.
+    """
+
+    def __init__(
+        self, model: pin.Model, workspace: pin.Data, index: int, part: slice, rows: slice, point_type: type
+    ) -> None:
+        self._made_from = model, workspace, index, part, rows, point_type
+        self._model, self._data, self._index = model, workspace, index
+        self._rows, self._rest = rows, np.zeros(model.nv)
+        # Both stay where they are, and change with every pass.
+        placement = workspace.oMf[index]
+        self._translation, self._rotation = placement.translation, placement.rotation
+        first, stop, _ = part.indices(12)
+        self._part = part
+        self._only = "position" if stop <= 3 else "rotation" if first == 3 and stop == 12 else "pose"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._made_from
+
+    def value(self, q: JointVector) -> Vector:
+        """Task point."""
+        forwardKinematics(self._model, self._data, q)
+        return self._z()
+
+    def linearize(self, q: JointVector) -> tuple[Vector, Jacobian]:
+        """Task point and Jacobian."""
+        computeJointJacobians(self._model, self._data, q)
+        J = getFrameJacobian(self._model, self._data, self._index, WORLD)[self._rows]
+        return self._z(), J if J.ndim == 2 else J[:, None]
+
+    def look(self, q: JointVector, dq: JointVector) -> tuple[Vector, Jacobian, TaskVector]:
+        """Task point, Jacobian and drift."""
+        model, data, index, rows = self._model, self._data, self._index, self._rows
+        forwardKinematics(model, data, q, dq, self._rest)
+        computeJointJacobians(model, data)
+        J = getFrameJacobian(model, data, index, WORLD)[rows]
+        # With one joint Pinocchio's bindings make a vector of what should be a column.
+        J = J if J.ndim == 2 else J[:, None]
+        return self._z(), J, getFrameClassicalAcceleration(model, data, index, WORLD).vector[rows]
+
+    def at(self, q: JointVector, dq: JointVector) -> Any:
+        """Task point, Jacobian, velocity and drift."""
+        z, J, drift = self.look(q, dq)
+        return tuple.__new__(self._made_from[5], (z, J, J.dot(dq), drift))
+
+    def _z(self) -> Vector:
+        updateFramePlacement(self._model, self._data, self._index)
+        if self._only == "position":
+            return self._translation[self._part].copy()
+        if self._only == "rotation":
+            return self._rotation.ravel()
+        z = np.empty(12)
+        z[:3], z[3:] = self._translation, self._rotation.ravel()
+        return z[self._part]
+
+
+class AccelerationMap:
+    """Joint accelerations for commanded accelerations of (z, v) on one chart, wherever nothing fades.
+
+    Args:
+        Vt: Transposed basis V of the null space at the base point, (r, n).
+        Qt: Transposed orthonormal basis Q of the row space there, (m, n).
+        most: Square of the size of U B from which directions may fade.
+        fast: Joint speed from which they fade earlier.
+        runaway: Joint speed beyond which self-motion is braked.
+        braking: How much it is braked, for each unit of speed more.
+    """
+
+    def __init__(
+        self,
+        Vt: Float[Array, "r n"],
+        Qt: Float[Array, "m n"],
+        most: float,
+        fast: float,
+        runaway: float,
+        braking: float,
+    ) -> None:
+        self._made_from: tuple[Any, ...] = Vt, Qt, most, fast, runaway, braking
+        self.m, self.n = Qt.shape
+        self.r, self.Vt = self.n - self.m, np.ascontiguousarray(Vt)
+        self._most, self._fast, self._runaway, self._braking = most, fast**2, runaway**2, braking
+        # [G'; Vᵀ] and its rows for G', in the order that LAPACK takes.
+        self._A = np.asfortranarray(np.vstack((Qt, Vt)))
+        self._G, self._identity = self._A[: self.m], np.asfortranarray(np.eye(self.n))
+        self._cut, self._nothing = self.m * self.n, np.full(self.n, math.nan)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._made_from
+
+    def __call__(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[int, JointVector, float]:
+        """Status, joint acceleration, and a lower bound of the chart's margin; the last two count where it is `DONE`.
+
+        Args:
+            J: Jacobian G'(q).
+            F: Acceleration asked of w = (z, v), the task's part without its drift, (n,).
+            dq: Joint velocities.
+        """
+        self._G[:] = J
+        return self._solve(F, dq)
+
+    def _solve(self, F: JointVector, dq: JointVector) -> tuple[int, JointVector, float]:
+        """The same for the Jacobian that stands in A."""
+        square = dq.dot(dq)
+        if square > self._runaway:
+            F, speed = F.copy(), math.sqrt(square)
+            F[self.m :] -= self._braking * (speed - math.sqrt(self._runaway)) * self.Vt.dot(dq)
+        _, _, H, info = dgesv(self._A, self._identity)
+        # H = [U B, D], column by column.
+        entries = H.ravel("K")
+        UB, D = entries[: self._cut], entries[self._cut :]
+        size = UB.dot(UB)
+        if not square <= self._fast:
+            size *= square / self._fast
+        # The least singular value of G' is at least 1 / |U B|, so no direction fades unnoticed; NaN ends here too.
+        if info or not size < self._most:
+            return UNDECIDED, self._nothing, 0.0
+        # The singular values of D are the inverse cosines of the angles that `Chart.margin` speaks of; all are at least
+        # 1, so the largest is at most what their squares leave beyond the others.
+        beyond = D.dot(D) - self.r
+        return DONE, H.dot(F), 1.0 / math.sqrt(1.0 + beyond) if beyond > 0.0 else 1.0
+
+
+class TrackingLaw(AccelerationMap):
+    """Joint accelerations of a law for task and self-motion; Eqs. (36), (45).
+
+    Args:
+        Vt: As for `AccelerationMap`.
+        Qt: As for `AccelerationMap`.
+        most: As for `AccelerationMap`.
+        fast: As for `AccelerationMap`.
+        runaway: As for `AccelerationMap`.
+        braking: As for `AccelerationMap`.
+        kp: Gain on the task error, (m,).
+        kd: Gain on the task's velocity error, (m,).
+        kp_v: Gain on v, (r,).
+        kd_v: Gain on dv, (r,).
+        v: Where Vᵀ q should be, (r,).
+        at: `Task.at`, or the `Frame` of the task.
+        minus: Difference of two task points; None for a vector task.
+    """
+
+    def __init__(
+        self,
+        Vt: Float[Array, "r n"],
+        Qt: Float[Array, "m n"],
+        most: float,
+        fast: float,
+        runaway: float,
+        braking: float,
+        kp: TaskVector,
+        kd: TaskVector,
+        kp_v: SelfMotionVector,
+        kd_v: SelfMotionVector,
+        v: SelfMotionVector,
+        at: Any,
+        minus: Callable[[Array, Array], Array] | None,
+    ) -> None:
+        super().__init__(Vt, Qt, most, fast, runaway, braking)
+        self._made_from += kp, kd, kp_v, kd_v, v, at, minus
+        self._kp, self._kd, self._v = np.concatenate((kp, kp_v)), np.concatenate((kd, kd_v)), np.array(v, dtype=float)
+        self._at, self._look, self._minus = at, at.look if isinstance(at, Frame) else None, minus
+        # Workspaces, and their parts for the task and the self-motion.
+        self._error, self._rate, self._F = np.zeros((3, self.n))
+        self._task_error, self._v_error = self._error[: self.m], self._error[self.m :]
+        self._task_rate, self._task_F, self._v_F = self._rate[: self.m], self._F[: self.m], self._F[self.m :]
+
+    def __call__(  # type: ignore[override]
+        self,
+        q: JointVector,
+        dq: JointVector,
+        z_d: Array,
+        dz_d: TaskVector,
+        ddz_d: TaskVector,
+        more: SelfMotionVector | None,
+    ) -> tuple[int, JointVector, float, Jacobian]:
+        """Status, joint acceleration and bound of the margin as from `AccelerationMap`, and the task's Jacobian.
+
+        Args:
+            q: Joints.
+            dq: Joint velocities.
+            z_d: Task point that is wanted.
+            dz_d: Its velocity, (m,).
+            ddz_d: Its acceleration, (m,).
+            more: Acceleration asked of the self-motion beside this law, (r,), or None.
+        """
+        if self._look is None:
+            z, J, _, drift = self._at(q, dq)
+        else:
+            z, J, drift = self._look(q, dq)
+        self._G[:] = J
+        if self._minus is None:
+            subtract(z_d, z, self._task_error)
+        else:
+            self._task_error[:] = self._minus(z_d, z)
+        subtract(self._v, self.Vt.dot(q), self._v_error)
+        rate, F, part = self._rate, self._F, self._task_rate
+        self._A.dot(dq, rate)
+        part -= dz_d
+        rate *= self._kd
+        multiply(self._kp, self._error, F)
+        F -= rate
+        part = self._task_F
+        part += ddz_d
+        part -= drift
+        if more is not None:
+            part = self._v_F
+            part += more
+        status, ddq, margin = self._solve(F, dq)
+        return status, ddq, margin, J

@@ -1,0 +1,205 @@
+"""Smaller kernels in NumPy: joint limits and harmonic curves; `parts` has them compiled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from eos_pin._arrays import Array, Jacobian, JointVector, Vector, VectorLike, frozen_copy
+
+#: Part of the way from the middle to each limit in which a posture is surely far from the limits; part of the
+#: acceleration allowed there that joint speed may take; and length of a way without limits [rad or m].
+INNER, SPEEDY, WIDE = 0.75, 0.3, 1e3
+
+
+class Viability:
+    """Upper bounds of accelerations that keep position, velocity and viability: 2n, for ddq and for −ddq.
+
+    Args:
+        rate: Rate at which a joint closes in on a limit [1/s].
+        ends: Upper limits of q and of −q, (2n,).
+        fastest: Rate times the velocity limits, (2n,).
+        braking: Decelerations with which a joint can be stopped, (2n,).
+        acceleration: Largest accelerations, (2n,).
+    """
+
+    def __init__(self, rate: float, ends: Vector, fastest: Vector, braking: Vector, acceleration: Vector) -> None:
+        self.rate, self.ends, self.fastest, self.braking, self.acceleration = (
+            rate, ends, fastest, braking, acceleration,
+        )  # fmt: skip
+
+    def __call__(self, q: JointVector, dq: JointVector) -> Vector:
+        b, rate = self.braking, self.rate
+        room, speed = self.ends - np.concatenate((q, -q)), rate * np.concatenate((dq, -dq))
+        # ρ V = root − b and V' = ρ b / root
+        root = np.sqrt(2.0 * rate**2 * b * np.maximum(room, 0.0) + b * b)
+        beyond = rate**2 * np.minimum(room, 0.0)
+        slower = 1.0 - beyond / self.fastest
+        most = root - b + beyond / slower - b / root * speed / slower**2
+        most = np.minimum(most, self.fastest) - speed
+        return np.minimum(np.maximum(most, -self.acceleration), self.acceleration)
+
+
+class Limits:
+    """Torque within all limits of the joints, for an acceleration that is asked for.
+
+    Args:
+        period: Control period [s].
+        rate: As for `Viability`.
+        ends: As for `Viability`.
+        fastest: As for `Viability`.
+        braking: As for `Viability`.
+        acceleration: As for `Viability`.
+        torque: Largest torques, (n,).
+        clear: How much more each joint may be accelerated where limits are not looked at more closely.
+        model: Robot whose dynamics count.
+        smallest: Smallest change of accelerations within bounds, a `SmallestChange`.
+    """
+
+    def __init__(
+        self,
+        period: float,
+        rate: float,
+        ends: Vector,
+        fastest: Vector,
+        braking: Vector,
+        acceleration: Vector,
+        torque: JointVector,
+        clear: float,
+        model: Any,
+        smallest: Callable[..., JointVector],
+    ) -> None:
+        self._made_from = period, rate, ends, fastest, braking, acceleration, torque, clear, model, smallest
+        self._half, self._torque, self._clear, self._model, self._smallest = (
+            0.5 * period,
+            torque,
+            clear,
+            model,
+            smallest,
+        )
+        self._viability, self._per_torque = Viability(rate, ends, fastest, braking, acceleration), 1.0 / torque
+        self._middle, self._per_half = self._inner()
+        self._unchanged = frozen_copy(np.zeros(torque.size))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._made_from
+
+    def _inner(self) -> tuple[Vector, Vector]:
+        """Middle of a box of (q, dq, ddq) that is surely far from all limits, and one divided by half its size.
+
+        The bounds of the acceleration fall towards the limits, and with the speed towards them; so those in the corner
+        of the box hold in all of it.
+        """
+        n, viability = self._torque.size, self._viability
+        upper, lower = viability.ends[:n], -viability.ends[n:]
+        lower = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper, 0.0) - WIDE)
+        upper = np.where(np.isfinite(upper), upper, lower + WIDE)
+        middle, half = 0.5 * (lower + upper), 0.5 * INNER * (upper - lower)
+        rest = np.zeros(n)
+
+        def least(speed: JointVector) -> JointVector:
+            above, below = viability(middle + half, speed)[:n], viability(middle - half, -speed)[n:]
+            return np.minimum(np.minimum(above, below) - self._clear, 1e100)
+
+        speed = SPEEDY * np.maximum(least(rest), 0.0) / viability.rate
+        room = np.concatenate((half, speed, least(speed)))
+        with np.errstate(divide="ignore"):
+            per_half = np.where(room > 0.0, 1.0 / room, np.inf)
+        return np.concatenate((middle, rest, rest)), per_half
+
+    def __call__(
+        self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
+    ) -> tuple[JointVector, JointVector]:
+        """Torque, and the change of the joint acceleration that the limits make, on average over a period.
+
+        Args:
+            q: Joints.
+            dq: Joint velocities.
+            ddq: Joint acceleration that is asked for.
+            J: Jacobian of the task.
+        """
+        model, n, torque = self._model, q.size, self._torque
+        tau, change = model._inverse_dynamics(q, dq, ddq), self._unchanged
+        part = tau * self._per_torque
+        weak = part.dot(part) < 1.0
+        if weak:
+            # Numbers whose eighth powers sum to less than 1 are all less than 1.
+            inner = np.concatenate((q, dq, ddq))
+            inner -= self._middle
+            inner *= self._per_half
+            inner *= inner
+            inner *= inner
+            if inner.dot(inner) < 1.0:
+                return tau, change
+        most = self._viability(q, dq)
+        # Far from all limits nothing needs to be predicted.
+        if weak and (most - np.concatenate((ddq, -ddq))).min() > self._clear:
+            return tau, change
+        most, least = most[:n], np.minimum(-most[n:], most[:n])
+        lower, upper = np.concatenate((least, -torque)), np.concatenate((most, torque))
+        # A held torque accelerates the joints, on average, as in the middle of the period.
+        shift = np.minimum(np.maximum(ddq, least), most)
+        middle, speed = self._halfway(q, dq, shift)
+        mean = model._forward_dynamics(middle, speed, tau)
+        now = np.concatenate((mean, tau))
+        if (lower <= now).all() and (now <= upper).all():
+            return tau, change
+        # So that without a change the middle stays where it is, and the torque is continuous.
+        shift -= np.minimum(np.maximum(mean, least), most)
+        change = self._smallest(J, model._mass(middle), lower - now, upper - now)
+        # Where the middle is depends on the change.
+        mean += change
+        middle, speed = self._halfway(q, dq, mean + shift)
+        tau = model._inverse_dynamics(middle, speed, mean)
+        if (np.abs(tau) > torque).any():
+            now, M = np.concatenate((mean, tau)), model._mass(middle)
+            least, most = lower - now, upper - now
+            # Who gives way to whom is settled.
+            least[:n], most[:n] = np.minimum(least[:n], 0.0), np.maximum(most[:n], 0.0)
+            more = self._smallest(J, M, least, most)
+            tau, change = tau + M.dot(more), change + more
+        # For rounding only.
+        return np.minimum(np.maximum(tau, -torque), torque), change
+
+    def _halfway(self, q: JointVector, dq: JointVector, ddq: JointVector) -> tuple[JointVector, JointVector]:
+        """The state in the middle of the period."""
+        half = self._half
+        speed = dq + half * ddq
+        return q + 0.5 * half * (dq + speed), speed
+
+
+class Curve:
+    """Sums of sines and cosines: a target (z, dz, ddz) at each time.
+
+    Args:
+        phase: Time by which the start is ahead [s].
+        frequencies: ω, 2ω and so on [rad/s].
+        rows: Coefficients of z, dz and ddz side by side; a row for each of sin ωt, cos ωt, sin 2ωt and so on, 1.
+        first: Where those of dz begin.
+        second: Where those of ddz begin.
+        target: Named tuple that is returned.
+    """
+
+    def __init__(
+        self, phase: float, frequencies: VectorLike, rows: Float[Array, "K w"], first: int, second: int, target: type
+    ) -> None:
+        self._made_from = phase, frequencies, rows, first, second, target
+        self._phase, self._frequencies = phase, np.asarray(frequencies, dtype=float).tolist()
+        self._columns = np.array(rows.T, dtype=float, order="C")
+        self._z, self._dz, self._ddz, self._target = slice(first), slice(first, second), slice(second, None), target
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._made_from
+
+    def __call__(self, t: float) -> Any:
+        t += self._phase
+        waves: list[float] = []
+        for omega in self._frequencies:
+            waves += (math.sin(omega * t), math.cos(omega * t))
+        waves.append(1.0)
+        all_three = self._columns.dot(np.array(waves))
+        return tuple.__new__(self._target, (all_three[self._z], all_three[self._dz], all_three[self._ddz]))
