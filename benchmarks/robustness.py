@@ -24,7 +24,6 @@ import tyro
 from rich.progress import track
 
 from eos_pin import (
-    BASELINES,
     Controller,
     EosController,
     Friction,
@@ -43,6 +42,7 @@ from eos_pin import (
 )
 from eos_pin.cli.main import run
 from eos_pin.cli.output import console, grid, stderr, write_json
+from eos_pin.control.operational import BASELINES
 
 POSTURE = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 FRAME = "panda_hand_tcp"

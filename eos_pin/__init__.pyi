@@ -9,7 +9,6 @@ from .charts import Inverse as Inverse
 from .charts import JointPath as JointPath
 from .charts import TaskSpaceDynamics as TaskSpaceDynamics
 from .charts import inverse_kinematics as inverse_kinematics
-from .control import BASELINES as BASELINES
 from .control import Controller as Controller
 from .control import ControlLoop as ControlLoop
 from .control import Damp as Damp
@@ -22,6 +21,7 @@ from .control import FollowPlan as FollowPlan
 from .control import FreeNullSpace as FreeNullSpace
 from .control import JointLimits as JointLimits
 from .control import LimitedEosController as LimitedEosController
+from .control import NullSpaceLaw as NullSpaceLaw
 from .control import Objective as Objective
 from .control import OpenLoop as OpenLoop
 from .control import OperationalSpaceController as OperationalSpaceController
@@ -46,10 +46,12 @@ from .errors import StateError as StateError
 from .errors import UnknownNameError as UnknownNameError
 from .errors import ViewerError as ViewerError
 from .experiments import Trial as Trial
+from .experiments import fitting_path as fitting_path
+from .experiments import make_task as make_task
 from .experiments import path_from_csv as path_from_csv
+from .experiments import rest_posture as rest_posture
 from .experiments import sweep as sweep
 from .experiments import trials as trials
-from .experiments import write_table as write_table
 from .planning import Avoidance as Avoidance
 from .planning import Clearance as Clearance
 from .planning import ClosestPair as ClosestPair
@@ -101,5 +103,8 @@ from .trajectories import pose_spline as pose_spline
 from .trajectories import read_waypoints as read_waypoints
 from .trajectories import rotation_spline as rotation_spline
 from .trajectories import spline_from_csv as spline_from_csv
+from .viewer import Scene as Scene
+from .viewer import Viewer as Viewer
+from .viewer import write_html as write_html
 
 __version__: str

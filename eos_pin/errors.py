@@ -169,17 +169,20 @@ def renamed(**names: str) -> Callable[[F], F]:
 
     def decorate(target: F) -> F:
         thing: Any = target
-        function = thing.__init__ if isinstance(thing, type) else thing
+        is_class = isinstance(thing, type)
+        function: Callable[..., Any] = thing.__init__ if is_class else thing
+
+        name = thing.__qualname__.removesuffix(".__init__")
 
         @functools.wraps(function)
         def checked(*args: Any, **kwargs: Any) -> Any:
             for old in names.keys() & kwargs.keys():
-                raise OldNameError(f"the argument {old!r} of {thing.__name__} was renamed: use {names[old]!r}")
+                raise OldNameError(f"the argument {old!r} of {name} was renamed: use {names[old]!r}")
             return function(*args, **kwargs)
 
-        if not isinstance(thing, type):
+        if not is_class:
             return cast("F", checked)
-        thing.__init__ = checked  # type: ignore[misc]
+        thing.__init__ = checked
         return target
 
     return decorate

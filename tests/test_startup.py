@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+PACKAGE = Path(__file__).parent.parent / "eos_pin"
 
 #: What takes time to import, from the lightest.
 HEAVY = ("numpy", "lxml", "pinocchio", "scipy.linalg", "scipy.integrate", "joblib", "tyro", "rich", "matplotlib")
@@ -50,9 +54,22 @@ except SystemExit:
 def test_every_public_name_is_there():
     import eos_pin
 
-    assert sorted(eos_pin.__all__, key=str.lower) == sorted(set(eos_pin.__all__), key=str.lower)
+    assert sorted(eos_pin.__all__) == sorted(set(eos_pin.__all__))
     assert all(hasattr(eos_pin, name) for name in eos_pin.__all__)
     assert set(eos_pin.__all__) <= set(dir(eos_pin))
     assert {"Chart", "load_robot", "sweep"} <= set(eos_pin.__all__)
     with pytest.raises(AttributeError, match="nobody"):
         _ = eos_pin.nobody
+
+
+@pytest.mark.parametrize("room", sorted(path.parent.name for path in PACKAGE.glob("*/__init__.pyi")))
+def test_every_public_name_of_a_room_is_there(room):
+    module = importlib.import_module(f"eos_pin.{room}")
+    assert module.__all__
+    assert all(hasattr(module, name) for name in module.__all__)
+    assert set(module.__all__) <= set(dir(module))
+
+
+def test_rooms_that_users_import_from_have_public_names():
+    rooms = {"charts", "control", "experiments", "planning", "plots", "robot", "simulation", "tasks", "trajectories"}
+    assert rooms | {"viewer"} == {path.parent.name for path in PACKAGE.glob("*/__init__.pyi")}

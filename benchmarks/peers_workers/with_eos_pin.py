@@ -8,7 +8,6 @@ import numpy as np
 from serve import Call, Problem, serve
 
 from eos_pin import (
-    BASELINES,
     Atlas,
     Chart,
     Controller,
@@ -25,6 +24,7 @@ from eos_pin import (
     load_robot,
 )
 from eos_pin.charts.solutions import Strategy
+from eos_pin.control.operational import BASELINES
 
 
 def build(problem: Problem) -> Mapping[str, Call]:

@@ -1,9 +1,8 @@
 """Charts: joints as an explicit function q = y(z, v) of the task and of self-motion coordinates.
 
 Around a base configuration q_bar the joints are split along two constant, mutually orthogonal sets of directions,
-U = G'(q_bar)ᵀ and an orthonormal basis V of the null space of G'(q_bar). The self-motion coordinates v = Vᵀ q (up to
-a constant) say where along the null space the robot is; u = h(z, v) is then fixed by the task. Everything else of
-Sec. 3 follows: B, D, H, E, and the equations of motion built on them.
+U = G'(q_bar)ᵀ and an orthonormal basis V of the null space of G'(q_bar). The self-motion coordinates v = Vᵀ q, up to a
+constant, are the position along V; u = h(z, v) is then fixed by the task, and so are B, D, H, E of Sec. 3.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from eos_pin._arrays import (
 )
 from eos_pin.charts._basis import RANK_TOLERANCE, Basis, carried, check_rank, iterated_inverse, null_basis
 from eos_pin.charts._newton import Inverse, newton, walk
-from eos_pin.errors import ChartError, InverseError
+from eos_pin.errors import ChartError, InverseError, Renamed
 from eos_pin.robot.postures import JointsLike
 from eos_pin.tasks.base import Point, Task, TaskPoint
 
@@ -63,6 +62,7 @@ class Chart(Checked):
     B_bar: Float[Array, "m m"]
     basis: Basis
     row_basis: Float[Array, "n m"]
+    at = Renamed("from_base")
 
     @classmethod
     @checked

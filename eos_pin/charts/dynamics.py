@@ -16,7 +16,7 @@ from jaxtyping import Float
 from eos_pin._arrays import Array, JointVector, TaskVector
 from eos_pin.charts._basis import rank_of
 from eos_pin.charts.chart import Chart, ChartPoint
-from eos_pin.errors import SingularError
+from eos_pin.errors import Renamed, SingularError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import TaskPoint
 
@@ -32,6 +32,8 @@ class ExtendedDynamics:
 
     robot: Robot
     point: ChartPoint
+
+    at = Renamed("from_state")
 
     @classmethod
     def from_state(cls, robot: Robot, chart: Chart, q: JointVector, dq: JointVector) -> ExtendedDynamics:

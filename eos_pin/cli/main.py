@@ -15,6 +15,7 @@ from eos_pin.cli.output import (
     guarded,
 )
 from eos_pin.cli.sweep import sweep
+from eos_pin.errors import OldNameError
 
 # What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
 if TYPE_CHECKING:
@@ -36,19 +37,39 @@ def run(command: Callable[..., int], argv: Sequence[str] | None = None) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command `eos-pin`."""
-    if list(sys.argv[1:] if argv is None else argv) == ["--version"]:
+    words = list(sys.argv[1:] if argv is None else argv)
+    if words == ["--version"]:
         console.print(f"eos-pin {version('eos-pin')}")
         return 0
     commands = {f.__name__: f for f in (track, plan, compare, sweep, info, ik, replay, robots)}
-    return guarded(
-        lambda: tyro.extras.subcommand_cli_from_dict(
+
+    def command() -> int:
+        _refuse_old_flags(words)
+        return tyro.extras.subcommand_cli_from_dict(
             commands,
             prog="eos-pin",
             description="Extended operational space control of redundant robots, on any URDF.",
             args=argv,
             config=(*_STYLE, tyro.conf.PositionalRequiredArgs, tyro.conf.FlagCreatePairsOff),
         )
-    )
+
+    return guarded(command)
+
+
+#: Flags of earlier versions, and those that took their place.
+_OLD_FLAGS = {"--rate": "--control-rate"}
+
+
+def _refuse_old_flags(words: Sequence[str]) -> None:
+    """Refuse a flag that was renamed.
+
+    Raises:
+        OldNameError: There is one; the message has the new one.
+    """
+    for word in words:
+        flag = word.partition("=")[0]
+        if flag in _OLD_FLAGS:
+            raise OldNameError(f"the option {flag} was renamed: use {_OLD_FLAGS[flag]}")
 
 
 _STYLE = (tyro.conf.OmitArgPrefixes,)

@@ -14,10 +14,10 @@ from .objectives import Posture as Posture
 from .objectives import ReduceKineticEnergy as ReduceKineticEnergy
 from .objectives import SumObjective as SumObjective
 from .objectives import Track as Track
-from .operational import BASELINES as BASELINES
 from .operational import DampedNullSpace as DampedNullSpace
 from .operational import EnergyNullSpace as EnergyNullSpace
 from .operational import FreeNullSpace as FreeNullSpace
+from .operational import NullSpaceLaw as NullSpaceLaw
 from .operational import OperationalSpaceController as OperationalSpaceController
 from .operational import PostureNullSpace as PostureNullSpace
 from .overload import gravity_overload as gravity_overload

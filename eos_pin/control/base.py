@@ -16,7 +16,7 @@ from eos_pin._arrays import (
     gains,
     number,
 )
-from eos_pin.errors import InputError
+from eos_pin.errors import InputError, Renamed
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task, TaskPoint
 from eos_pin.trajectories.base import Trajectory, check_reference
@@ -105,6 +105,8 @@ class TaskController(Controller):
         RobotError: The robot lacks mass.
         InputError: The reference does not fit the task, or a gain is no number.
     """
+
+    given_up = Renamed("task_deficit")
 
     def __init__(
         self,

@@ -22,7 +22,7 @@ from eos_pin.control._regularize import AccelerationMap
 from eos_pin.control.base import TaskController
 from eos_pin.control.objectives import Objective, Track
 from eos_pin.control.state import ControlReport, EosState
-from eos_pin.errors import InputError, SingularError
+from eos_pin.errors import InputError, Renamed, SingularError
 from eos_pin.tasks.base import Task, TaskPoint
 from eos_pin.trajectories.base import Target, Trajectory
 
@@ -51,6 +51,8 @@ class EosController(TaskController):
         smooth: Whether the torque is kept bounded and continuous. Without, the law is the paper's to the last: it jumps
             with dv where the chart changes, and ends where the task is singular.
     """
+
+    observe = Renamed("evaluate")
 
     def __init__(
         self,

@@ -34,7 +34,7 @@ from eos_pin.control._smallest_change import SmallestChange
 from eos_pin.control.eos import EosController
 from eos_pin.control.objectives import Objective
 from eos_pin.control.overload import gravity_overload
-from eos_pin.errors import InputError
+from eos_pin.errors import InputError, Renamed, renamed
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Trajectory
@@ -74,6 +74,8 @@ class JointLimits:
     acceleration: JointVector
     braking: JointVector
     torque: JointVector
+
+    of = Renamed("from_robot")
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "velocity", "acceleration", "braking", "torque"):
@@ -243,6 +245,9 @@ class LimitedEosController(EosController):
         atlas: Rule by which charts follow each other; by default that of `Atlas(task)`.
     """
 
+    period = Renamed("control_period")
+
+    @renamed(period="control_period")
     def __init__(
         self,
         task: Task,

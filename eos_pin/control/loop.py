@@ -20,7 +20,7 @@ from eos_pin._arrays import (
 )
 from eos_pin._kernels.dispatch import use_compiled
 from eos_pin.control.base import Controller, TaskController, agreed_period
-from eos_pin.errors import InputError, StateError
+from eos_pin.errors import InputError, Renamed, StateError
 from eos_pin.robot.model import Robot
 
 #: A move of a continuous joint from one state to the next beyond which it is looked at whether its angle was wrapped
@@ -65,6 +65,9 @@ class ControlLoop:
         InputError: A limit or a time is out of its range, or of another size than the robot, or the controller is made
             for another control period.
     """
+
+    memory = Renamed("state")
+    given_up = Renamed("task_deficit")
 
     def __init__(
         self,

@@ -1,5 +1,12 @@
+from .defaults import fitting_path as fitting_path
+from .defaults import make_task as make_task
+from .defaults import rest_posture as rest_posture
+from .options import ControlOptions as ControlOptions
+from .options import PathOptions as PathOptions
+from .options import RobotOptions as RobotOptions
+from .options import RunOptions as RunOptions
+from .options import TaskOptions as TaskOptions
 from .path_files import path_from_csv as path_from_csv
 from .sweeps import sweep as sweep
-from .sweeps import write_table as write_table
 from .trial import Trial as Trial
 from .trial import trials as trials

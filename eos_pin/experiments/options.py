@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from eos_pin._arrays import JointVector, number, vector
-from eos_pin.errors import InputError
+from eos_pin.errors import InputError, Renamed
 from eos_pin.experiments.applicability import check_applicable
 from eos_pin.robot.postures import by_name, in_order
 
@@ -273,6 +273,9 @@ class RunOptions:
     model_error: float = 0.0
     method: Literal["DOP853", "LSODA", "RK45", "Radau", "BDF"] | None = None
     rtol: float = 1e-9
+
+    rate = Renamed("control_rate")
+    period = Renamed("control_period")
 
     @property
     def control_period(self) -> float | None:

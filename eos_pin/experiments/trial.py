@@ -17,7 +17,7 @@ import numpy as np
 
 from eos_pin._arrays import JointVector
 from eos_pin.control.base import Controller
-from eos_pin.errors import InputError, UnknownNameError
+from eos_pin.errors import InputError, Renamed, UnknownNameError
 from eos_pin.experiments.options import (
     ControlOptions,
     PathOptions,
@@ -86,6 +86,8 @@ class Trial:
     control: ControlOptions = ControlOptions()
     simulation: RunOptions = RunOptions()
     seed: int = 0
+
+    of = Renamed("from_settings")
 
     def __post_init__(self) -> None:
         settings = self.settings

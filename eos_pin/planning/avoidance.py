@@ -20,7 +20,7 @@ from eos_pin._arrays import (
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.charts.solutions import JointPath
-from eos_pin.errors import InputError, SingularError
+from eos_pin.errors import InputError, Renamed, SingularError, renamed
 from eos_pin.planning.clearance import Clearance
 from eos_pin.robot.postures import JointsLike
 from eos_pin.tasks.base import Point
@@ -30,6 +30,7 @@ from eos_pin.trajectories.base import Trajectory
 SETTLED = 1e-2
 
 
+@renamed(margin="influence_distance")
 @dataclass(frozen=True, eq=False)
 class Avoidance:
     """A law for v: every body clear of obstacles, every joint off its limits, as near to a posture as that allows.
@@ -55,6 +56,8 @@ class Avoidance:
     pull: float = 0.4
     damping: float = 3.0
     longest: float = 0.02
+
+    margin = Renamed("influence_distance")
 
     def __post_init__(self) -> None:
         for name in ("influence_distance", "room", "damping", "longest"):

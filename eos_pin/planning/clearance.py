@@ -24,7 +24,7 @@ from eos_pin._arrays import (
     number,
     vector,
 )
-from eos_pin.errors import InputError, RobotError, UnknownNameError
+from eos_pin.errors import InputError, Renamed, RobotError, UnknownNameError, renamed
 from eos_pin.robot._data import workspace
 from eos_pin.robot.model import Robot
 from eos_pin.tasks._flat import checked_pose
@@ -108,6 +108,8 @@ class Clearance:
     obstacles: Sequence[Obstacle]
     bodies: Sequence[str] = ()
 
+    approaches = Renamed("closest_pairs")
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "obstacles", tuple(self.obstacles))
         if not self.obstacles:
@@ -158,11 +160,13 @@ class Clearance:
             chosen.setdefault(self._pairs[pair][:2], pair)
         return self._closest_pairs(q, list(chosen.values()))
 
+    @renamed(margin="influence_distance")
     def potential(self, q: JointVector, *, influence_distance: float, t: float = 0.0) -> float:
         """Repulsion ½ Σ (influence_distance − distance)² of all approaches closer than `influence_distance` [m²]."""
         near = self.closest_pairs(t, q, within=influence_distance)
         return 0.5 * sum((influence_distance - a.distance) ** 2 for a in near)
 
+    @renamed(margin="influence_distance")
     def potential_gradient(self, q: JointVector, *, influence_distance: float, t: float = 0.0) -> JointVector:
         """Slope of `potential` with the joints, such as `DescendPotential` descends, (n,)."""
         near = self.closest_pairs(t, q, within=number(influence_distance, "the influence distance", above=0.0))

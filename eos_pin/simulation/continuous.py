@@ -14,7 +14,7 @@ from eos_pin._arrays import (
 )
 from eos_pin.charts.atlas import Atlas
 from eos_pin.control.base import Controller
-from eos_pin.errors import ChartError, InputError
+from eos_pin.errors import ChartError, InputError, renamed
 from eos_pin.robot.model import Robot
 from eos_pin.robot.postures import JointsLike, in_order
 from eos_pin.simulation._recorder import Observer, Recorder, Stop, sample_times
@@ -37,6 +37,7 @@ TOO_FAST = 1e4
 NEARLY_SINGULAR = 0.05
 
 
+@renamed(rate="record_rate")
 def simulate(
     plant: Robot,
     controller: Controller,
@@ -80,6 +81,7 @@ def simulate(
     return _integrate(system, x, duration, record_rate, arguments, observer)
 
 
+@renamed(rate="record_rate")
 def simulate_extended(
     plant: Robot,
     controller: Controller,

@@ -21,7 +21,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from eos_pin._arrays import Array, JointVector
-from eos_pin.errors import InputError, MissingDependencyError
+from eos_pin.errors import InputError, MissingDependencyError, Renamed
 from eos_pin.robot.model import Robot
 
 Integrator: TypeAlias = Literal["RK4", "Euler", "implicit", "implicitfast"]
@@ -45,6 +45,8 @@ class MujocoPlant(Robot):
     """
 
     integrator: Integrator = "RK4"
+
+    of = Renamed("from_robot")
 
     @classmethod
     def from_robot(cls, robot: Robot, *, integrator: Integrator = "RK4") -> MujocoPlant:

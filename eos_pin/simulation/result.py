@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float, Int
 
 from eos_pin._arrays import Array, Vector, nearest
 from eos_pin._files import write_atomically, write_csv
-from eos_pin.errors import InputError, ResultError
+from eos_pin.errors import InputError, Renamed, ResultError
 from eos_pin.robot.loading import load_robot
 from eos_pin.robot.model import Robot
 from eos_pin.simulation.disturbances import Friction
@@ -90,6 +90,11 @@ class Result:
     status: str = "finished"
     message: str = ""
     info: Mapping[str, Any] = field(default_factory=dict)
+
+    given_up = Renamed("task_deficit")
+    given_up_to_limits = Renamed("deficit_from_limits")
+    given_up_rows = Renamed("deficit_rows")
+    given_up_seconds = Renamed("deficit_seconds")
 
     def __post_init__(self) -> None:
         rows = len(self.t)

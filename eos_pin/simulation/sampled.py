@@ -15,7 +15,7 @@ from eos_pin._arrays import (
 )
 from eos_pin.control.base import Controller, agreed_period
 from eos_pin.control.loop import ControlLoop
-from eos_pin.errors import InputError
+from eos_pin.errors import InputError, renamed
 from eos_pin.robot.model import Robot
 from eos_pin.robot.postures import JointsLike
 from eos_pin.simulation._recorder import Observer, Recorder, sample_times
@@ -28,6 +28,7 @@ from eos_pin.simulation.result import Result
 CONTROL_PERIOD = 1e-3
 
 
+@renamed(period="control_period", rate="record_rate")
 def simulate_sampled(
     plant: Robot,
     controller: Controller,

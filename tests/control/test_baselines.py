@@ -10,7 +10,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from eos_pin import (
-    BASELINES,
     DampedNullSpace,
     EosController,
     FreeNullSpace,
@@ -25,6 +24,7 @@ from eos_pin import (
     figure_eight,
     simulate,
 )
+from eos_pin.control.operational import BASELINES
 
 REST = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
 #: Variants whose task acceleration is exactly what is asked for.

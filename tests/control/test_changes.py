@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from eos_pin import (
-    BASELINES,
     Atlas,
     ControlLoop,
     Damp,
@@ -37,6 +36,7 @@ from eos_pin import (
     circle,
     simulate_sampled,
 )
+from eos_pin.control.operational import BASELINES
 from eos_pin.experiments.options import RunOptions
 
 REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eos_pin import (
-    BASELINES,
     Atlas,
     ControlLoop,
     Damp,
@@ -34,6 +33,7 @@ from eos_pin import (
     figure_eight,
     simulate,
 )
+from eos_pin.control.operational import BASELINES
 
 
 @cache

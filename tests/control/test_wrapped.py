@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from eos_pin import (
-    BASELINES,
     Atlas,
     Avoidance,
     Chart,
@@ -33,6 +32,7 @@ from eos_pin import (
     simulate_extended,
     simulate_sampled,
 )
+from eos_pin.control.operational import BASELINES
 from eos_pin.simulation._recorder import joint_run
 from eos_pin.simulation.kinematic import chart_following, rate_control
 from eos_pin.trajectories.harmonic import circle

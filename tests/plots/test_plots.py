@@ -14,7 +14,6 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from eos_pin import (
-    BASELINES,
     EosController,
     InputError,
     OpenLoop,
@@ -25,6 +24,7 @@ from eos_pin import (
     load_robot,
     simulate,
 )
+from eos_pin.control.operational import BASELINES
 from eos_pin.errors import OutputError
 from eos_pin.plots import pages as plots
 from eos_pin.plots._style import (

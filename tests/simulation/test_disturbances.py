@@ -10,7 +10,6 @@ import pytest
 from checks import random_state, tip
 
 from eos_pin import (
-    BASELINES,
     Controller,
     EosController,
     Friction,
@@ -25,6 +24,7 @@ from eos_pin import (
     simulate,
     simulate_sampled,
 )
+from eos_pin.control.operational import BASELINES
 
 REST = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
 

@@ -15,7 +15,6 @@ import pytest
 from checks import tip
 
 from eos_pin import (
-    BASELINES,
     Atlas,
     EosController,
     EosError,
@@ -34,6 +33,7 @@ from eos_pin import (
     simulate_extended,
     simulate_sampled,
 )
+from eos_pin.control.operational import BASELINES
 
 REST = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
 

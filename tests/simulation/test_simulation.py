@@ -9,7 +9,6 @@ import pytest
 from checks import INTEGRATED, integration_error, random_state, tip
 
 from eos_pin import (
-    BASELINES,
     Atlas,
     Controller,
     ControlLoop,
@@ -35,6 +34,7 @@ from eos_pin import (
     simulate_extended,
     simulate_sampled,
 )
+from eos_pin.control.operational import BASELINES
 from eos_pin.simulation.kinematic import chart_following
 
 REST = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])

@@ -1,0 +1,15 @@
+from .keyframes import plot_key_frames as plot_key_frames
+from .pages import comparison as comparison
+from .pages import overview as overview
+from .pages import save as save
+from .pages import sweep as sweep
+from .panels import plot_charts as plot_charts
+from .panels import plot_drift as plot_drift
+from .panels import plot_errors as plot_errors
+from .panels import plot_joints as plot_joints
+from .panels import plot_kinetic_energy as plot_kinetic_energy
+from .panels import plot_orbit as plot_orbit
+from .panels import plot_path as plot_path
+from .panels import plot_self_motion as plot_self_motion
+from .panels import plot_task_error as plot_task_error
+from .panels import plot_torques as plot_torques

@@ -1,0 +1,3 @@
+from .scene import Scene as Scene
+from .viewer import Viewer as Viewer
+from .viewer import write_html as write_html
