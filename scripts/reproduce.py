@@ -7,18 +7,12 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from claim_tables import PLAN, claims_table, study_table, update_block
+
 from eos_pin._files import write_atomically
 from eos_pin.cli.main import run
 from eos_pin.cli.output import console, scene_of, stderr, write_json
-from eos_pin.paper.claims import (
-    APPLICATIONS,
-    PLAN,
-    claims_table,
-    measure,
-    obstacles_cleared,
-    study_table,
-    update_block,
-)
+from eos_pin.paper.claims import APPLICATIONS, measure, obstacles_cleared
 from eos_pin.paper.run_example import claim_rows, figures
 from eos_pin.simulation.result import Result
 

@@ -7,18 +7,12 @@ the path's period.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from eos_pin._files import write_atomically
-from eos_pin.errors import OutputError
-from eos_pin.paper import examples as paper
-from eos_pin.paper.examples import Example
 from eos_pin.paper.obstacle_examples import Application, panda, planar_chain
 from eos_pin.simulation.result import Result
 
@@ -177,24 +171,8 @@ def chain_is_calmer(eos: Runs, traditional: Runs) -> list[Claim]:
     ]
 
 
-#: Every example that a claim needs, by a name of its own; the arguments left are those of a tolerance study.
-PLAN: Mapping[str, Callable[..., Example]] = {
-    "6.1": paper.chain_task_space,
-    "6.2": paper.chain_eos,
-    "5.3": paper.kinetic_energy,
-    "5.3 without gravity": partial(paper.kinetic_energy, gravity=False),
-    "5.3 other gradient": lambda **o: paper.kinetic_energy(gradient="configuration", **o).only("eos"),
-    "5.1": paper.task_space,
-    "5.2": paper.self_motion_tracking,
-    "5.4": paper.obstacle,
-    "4.3 one chart": partial(paper.equivalence, duration=2.0, threshold=0.5),
-    "4.3": paper.equivalence,
-    "2.2": paper.noncyclic,
-}
-
-
 def measure(runs: Mapping[str, Runs]) -> list[Claim]:
-    """All claims, from the runs of the whole plan."""
+    """All claims, from the runs of every example that a claim needs; `scripts/claim_tables.py` lists them."""
     return [
         *rates_drift(runs["2.2"]),
         *equations_agree(runs["4.3 one chart"]),
@@ -211,23 +189,6 @@ def measure(runs: Mapping[str, Runs]) -> list[Claim]:
     ]
 
 
-def claims_table(claims: Iterable[Claim]) -> str:
-    """Table in Markdown, in figures that come out the same on every machine."""
-    rows = [f"| {c.section} | {c.statement} | {c.measured} | {'yes' if c.holds else '**no**'} |" for c in claims]
-    lines = ["| section | claim | measured | holds |", "|---|---|---|---|", *rows, "", FOOTNOTE]
-    return "\n".join(lines)
-
-
-def study_table(claims: Mapping[float, Sequence[Claim]]) -> str:
-    """Table in Markdown of what each claim measures at several tolerances."""
-    head = ["section", "claim", *(f"rtol {rtol:g}" for rtol in claims)]
-    rows = [
-        [rows[0].section, rows[0].statement, *(f"{c.value:.3g}" if c.digits else f"{c.value:.0e}" for c in rows)]
-        for rows in zip(*claims.values(), strict=True)
-    ]
-    return "\n".join("| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rows])
-
-
 def obstacles_cleared(name: str, figures: Mapping[str, Any]) -> list[Claim]:
     """Claims of the two applications that the paper cites.
 
@@ -240,19 +201,6 @@ def obstacles_cleared(name: str, figures: Mapping[str, Any]) -> list[Claim]:
         Claim("cited", f"{name}: least distance of any body from an obstacle", least, 1e-3, True, "m", 2),
         Claim("cited", "the path is followed meanwhile", figures["task_error_max"], 1e-9, unit="m, rad"),
     ]
-
-
-def update_block(path: Path, name: str, text: str, heading: str) -> None:
-    """Replace what stands between `<!-- name -->` and `<!-- /name -->` in a file, or append a section with it."""
-    begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-    old = path.read_text(encoding="utf-8") if path.exists() else ""
-    if begin not in old:
-        old += f"\n## {heading}\n\n{begin}\n{end}\n"
-    head, _, rest = old.partition(begin)
-    if end not in rest:
-        raise OutputError(f"{path} has {begin} but no {end} after it")
-    tail = rest.partition(end)[2]
-    write_atomically(path, lambda file: file.write(f"{head}{begin}\n{text}\n{end}{tail}".encode()))
 
 
 def _late_error(run: Result) -> float:

@@ -1,8 +1,11 @@
+from ._style import style as style
 from .keyframes import plot_key_frames as plot_key_frames
 from .pages import comparison as comparison
 from .pages import overview as overview
 from .pages import save as save
 from .pages import sweep as sweep
+from .panels import joints_at as joints_at
+from .panels import key_times as key_times
 from .panels import plot_charts as plot_charts
 from .panels import plot_drift as plot_drift
 from .panels import plot_errors as plot_errors

@@ -16,22 +16,20 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from eos_pin._arrays import Array, VectorLike
+from eos_pin._arrays import Array
 from eos_pin._files import write_atomically
 from eos_pin.errors import EosError, InputError
 from eos_pin.plots._style import (
-    COLUMN,
     LINES,
     PAGE,
     add_axes,
     colors_of,
-    draw_legend,
     draw_nothing,
     shortened,
     style,
     use_decades,
 )
-from eos_pin.plots.keyframes import Obstacles, is_spatial, plot_key_frames
+from eos_pin.plots.keyframes import is_spatial, plot_key_frames
 from eos_pin.plots.panels import (
     has_depth,
     joint_units,
@@ -55,8 +53,6 @@ __all__ = [
     "comparison",
     "joints_at",
     "key_times",
-    "kinetic_energies",
-    "motion",
     "overview",
     "plot_charts",
     "plot_drift",
@@ -72,7 +68,6 @@ __all__ = [
     "save",
     "style",
     "sweep",
-    "tracking",
 ]
 
 
@@ -141,55 +136,6 @@ def comparison(results: Mapping[str, Result], robot: Robot | None = None) -> Fig
         ax.locator_params(nbins=4)
         ax.xaxis.label.set_fontsize(7)
         ax.yaxis.label.set_fontsize(7)
-    return figure
-
-
-@style()
-def tracking(result: Result, robot: Robot | None = None) -> Figure:
-    """Task path against its reference, beside the motion in joint space."""
-    robot = robot or _plant(result)
-    figure = Figure((PAGE, 3.0), layout="constrained")
-    grid = figure.add_gridspec(1, 2)
-    plot_path(add_axes(figure, grid[0, 0], solid=has_depth(result)), result)
-    plot_orbit(add_axes(figure, grid[0, 1], solid=result.q.shape[1] == 3), result, robot)
-    return figure
-
-
-@style()
-def motion(
-    result: Result,
-    robot: Robot,
-    *,
-    per_cycle: int = 1,
-    times: VectorLike | None = None,
-    trace: Sequence[str] | None = None,
-    obstacles: Obstacles = (),
-) -> Figure:
-    """Joints over time, beside key frames of the robot.
-
-    Args:
-        result: The run.
-        robot: The plant.
-        per_cycle: Marks in each cycle of the joints.
-        times: Times of the key frames [s]; by default eight in the last complete cycle, and its end.
-        trace: Frames whose paths are drawn; by default that of the task.
-        obstacles: Discs, or a function of time that gives them.
-    """
-    figure = Figure((PAGE, 3.0), layout="constrained")
-    grid = figure.add_gridspec(1, 2)
-    plot_joints(add_axes(figure, grid[0, 0]), result, robot, per_cycle=per_cycle)
-    ax = add_axes(figure, grid[0, 1], solid=is_spatial(robot, result))
-    plot_key_frames(ax, result, robot, times=times, trace=trace, obstacles=obstacles)
-    return figure
-
-
-@style()
-def kinetic_energies(results: Mapping[str, Result]) -> Figure:
-    """Kinetic energies of several runs in one plot, one column wide."""
-    figure = Figure((COLUMN, 2.4), layout="constrained")
-    ax = add_axes(figure, 111)
-    plot_kinetic_energy(ax, results)
-    draw_legend(ax, 3)
     return figure
 
 

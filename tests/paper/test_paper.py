@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +28,13 @@ from eos_pin.errors import OutputError
 from eos_pin.paper import claims as claiming
 from eos_pin.paper import examples as paper
 from eos_pin.paper.animation import write_gif
-from eos_pin.paper.claims import Claim, claims_table, study_table, update_block
+from eos_pin.paper.claims import Claim
 from eos_pin.paper.figures import motion, page, paper_figures, paths
 from eos_pin.plots import pages as plots
 
 ROOT = Path(__file__).parents[2]
+sys.path.append(str(ROOT / "scripts"))
+from claim_tables import PLAN, claims_table, study_table, update_block  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +46,7 @@ def runs():
     try:
         return {
             label: {name: experiment.run() for name, experiment in make().experiments.items()}
-            for label, make in claiming.PLAN.items()
+            for label, make in PLAN.items()
         }
     finally:
         jaxtyping.config.update("jaxtyping_disable", False)

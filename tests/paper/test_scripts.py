@@ -14,6 +14,8 @@ from eos_pin import Result
 from eos_pin.cli.main import run
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
+# A script finds its neighbours, as it does when it is run.
+sys.path.append(str(SCRIPTS))
 
 #: A quick way to run each script, and its first run.
 QUICK = {
