@@ -28,6 +28,7 @@ from eos_pin.tasks.position import PositionTask
 from eos_pin.trajectories.base import Trajectory
 from eos_pin.trajectories.harmonic import Harmonic, figure_eight
 from eos_pin.trajectories.pose import PoseTrajectory
+from eos_pin.trajectories.stacked import StackedTrajectory
 
 #: Colours of obstacles at rest, and of those that move; they can be told apart without seeing colours.
 RESTING, MOVING = (0.80, 0.47, 0.65, 0.9), (0.90, 0.62, 0.0, 0.9)
@@ -135,7 +136,7 @@ def planar_chain(*, margin: float = 0.3, moving: bool = True, cycles: int = 2) -
         Obstacle(coal.Cylinder(0.25, 0.2), orbit, "moving disc", MOVING),
     )
     avoidance = Avoidance(Clearance(robot, discs), influence_distance=margin, posture=q)
-    return Application(task, q, PoseTrajectory(eight, nod), avoidance, cycles)
+    return Application(task, q, StackedTrajectory((eight, nod)), avoidance, cycles)
 
 
 def panda(*, task: Literal["pose", "position"] = "pose", margin: float = 0.15, cycles: int = 2) -> Application:
