@@ -5,7 +5,16 @@ Run it by `python examples/03_charts.py`.
 
 import numpy as np
 
-from eos_pin import Atlas, Chart, PositionTask, circle, load_robot
+from eos_pin import (
+    Atlas,
+    Chart,
+    PoseTask,
+    PoseTrajectory,
+    PositionTask,
+    circle,
+    inverse_kinematics,
+    load_robot,
+)
 
 robot = load_robot("panda", chain_to="panda_hand_tcp")
 task = PositionTask(robot, "panda_hand_tcp")
@@ -36,3 +45,11 @@ far = Atlas(task).solve(q, [-0.4, 0.3, 0.5])
 print(f"a point behind the robot: by {far.strategy}, error {far.residual:.1e} m, within limits: {far.within_limits}")
 assert far.found
 assert far.within_limits
+
+# Poses are pin.SE3 or 4 x 4 matrices. Here the hand goes round the same circle with its orientation kept.
+pose, start = PoseTask(robot, "panda_hand_tcp"), robot.placement(q, "panda_hand_tcp")
+path = PoseTrajectory(position=path, orientation=start.rotation)
+joints = Atlas(pose).follow(q, [path(t).z for t in np.linspace(0.0, 1.0, 101)])
+print(f"with its orientation kept: the joints close to {np.abs(joints.q[-1] - joints.q[0]).max():.1e} rad")
+assert joints.complete
+assert inverse_kinematics(pose, start, q + 0.3).found
