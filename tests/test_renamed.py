@@ -27,6 +27,7 @@ from eos_pin import (
     PositionTask,
     Result,
     Trial,
+    pose_spline,
     simulate,
     simulate_extended,
     simulate_sampled,
@@ -108,6 +109,7 @@ def test_old_attribute_names_the_new_one(owner, old, new):
 @pytest.mark.parametrize(
     ("make", "old", "new"),
     [
+        (pose_spline, "positions", "poses"),
         (simulate, "rate", "record_rate"),
         (simulate_extended, "rate", "record_rate"),
         (simulate_sampled, "rate", "record_rate"),

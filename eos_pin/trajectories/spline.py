@@ -20,7 +20,7 @@ from eos_pin._arrays import (
     frozen_copy,
     vector,
 )
-from eos_pin.errors import InputError
+from eos_pin.errors import InputError, renamed
 from eos_pin.tasks._flat import PointLike, checked_pose
 from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Target, Trajectory
@@ -227,6 +227,7 @@ def rotation_spline(
     return RotationSpline(curve, float(times[0]), float(times[-1]), closed)
 
 
+@renamed(positions="poses", rotations="poses")
 def pose_spline(poses: Sequence[PointLike] | Array, times: VectorLike, *, closed: bool | None = None) -> PoseTrajectory:
     """Smooth curve through poses at given times, for a `PoseTask`, twice continuously differentiable.
 

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eos_pin import (
+    Chart,
     EosController,
     Geodesic,
     Harmonic,
@@ -180,6 +181,14 @@ def test_obstacle_takes_a_matrix():
     assert place.isApprox(POSE)
     with pytest.raises(InputError, match="orthonormal"):
         Obstacle(coal.Sphere(0.1), 2.0 * np.eye(4) + np.diag([0.0, 0.0, 0.0, -1.0])).at(0.0)
+
+
+@pytest.mark.parametrize("form", [lambda pose: pose, lambda pose: pose.homogeneous])
+def test_chart_inverse_takes_a_pose(panda, form, unchecked):
+    task = PoseTask(panda, tip(panda))
+    pose = panda.placement(Q, task.frame) * pin.SE3(np.eye(3), np.array([0.0, 0.02, 0.0]))
+    found = Chart.from_base(task, Q).inverse(form(pose), [0.1])
+    assert panda.placement(found.q, task.frame).isApprox(pose, 1e-9)
 
 
 def test_orientation_task_takes_a_pose(panda):
