@@ -87,7 +87,7 @@ def twins() -> tuple[Calls, Calls]:
         limited = LimitedEosController(task, path)
         ddq = state.drive(point.J, F, dq)[0]
 
-        frame = plain_form(task.kernel)  # type: ignore[attr-defined]
+        frame = plain_form(task.kernel)
         plain_law, plain_map, plain_limits = map(plain_form, (state.law, state.drive._kernel, limited._kernel))
         pairs: dict[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
             "Frame.at": (partial(task.at, REST, dq), partial(frame.at, REST, dq)),
@@ -117,7 +117,7 @@ def twins() -> tuple[Calls, Calls]:
             pairs["within_limits_fast"] = _pair("within_limits_fast", REST, np.full(7, 0.01))
             pairs["largest"] = _pair("largest", error)
             pairs["state_rate"] = _pair("state_rate", dq, dq_last, REST)
-            curve = path.waves.at  # type: ignore[attr-defined]
+            curve = path.waves.at
             pairs["Curve"] = partial(curve, 0.1), partial(REFERENCES["Curve"](*curve.__reduce__()[1]), 0.1)
         for name, (one, other) in pairs.items():
             compiled[f"{name}, {kind}"], plain[f"{name}, {kind}"] = one, other

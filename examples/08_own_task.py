@@ -7,11 +7,8 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 
 from eos_pin import EosController, Harmonic, Result, Task, load_robot, simulate
-
-WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 
 class DistanceTask(Task, kind="distance"):
@@ -20,25 +17,24 @@ class DistanceTask(Task, kind="distance"):
     arguments = ("frame", "center")  # attributes of these names make the task again when a run is loaded
 
     def __init__(self, robot, frame, center):
-        self.frame, self.center, self._id = frame, tuple(center), robot.frame_id(frame)
+        self.frame, self.center, self.number = frame, tuple(center), robot.frame_id(frame)
         super().__init__(robot, labels=["distance"], units=["m"])
 
-    def _offset(self, data):
-        return pin.updateFramePlacement(self.robot.model, data, self._id).translation - self.center
+    def offset(self, data):
+        """Vector from the center to the frame, and its length."""
+        offset = self.frame_placement(data, self.number).translation - self.center
+        return offset, np.linalg.norm(offset)
 
-    def _z(self, data):
-        return np.array([np.linalg.norm(self._offset(data))])
+    def compute_point(self, data):
+        return np.array([self.offset(data)[1]])
 
-    def _J(self, data):
-        offset = self._offset(data)
-        return (offset / np.linalg.norm(offset) @ pin.getFrameJacobian(self.robot.model, data, self._id, WORLD)[:3])[
-            None
-        ]
+    def compute_jacobian(self, data):
+        offset, z = self.offset(data)
+        return (offset / z @ self.frame_jacobian(data, self.number)[:3])[None]
 
-    def _drift(self, data):  # the second derivative of z where the joints do not accelerate
-        frame = self.robot.model, data, self._id, WORLD
-        offset, speed = self._offset(data), pin.getFrameVelocity(*frame).linear
-        z, a = np.linalg.norm(offset), pin.getFrameClassicalAcceleration(*frame).linear
+    def compute_drift(self, data):  # the second derivative of z where the joints do not accelerate
+        offset, z = self.offset(data)
+        speed, a = self.frame_velocity(data, self.number).linear, self.frame_acceleration(data, self.number).linear
         return np.array([(speed @ speed + offset @ a - (offset @ speed / z) ** 2) / z])
 
 
@@ -53,7 +49,7 @@ assert max(off) < 1e-8
 breathe = Harmonic(task.value(q), np.array([[0.1]]), np.zeros((1, 1)), 2.0)
 result = simulate(robot, EosController(task, breathe), q, duration=6.0)
 error = np.abs(result.error[result.settled_row :]).max()
-print(f"{result.status}; error {error:.1e} m")
+print(f"{result.status}; error {error:.1e} {result.units[0]}")
 assert result.ok
 assert error < 1e-6
 
@@ -61,4 +57,5 @@ assert error < 1e-6
 with tempfile.TemporaryDirectory() as folder:
     loaded = Result.load(result.save(Path(folder) / "run.npz"))
 print(f"loaded: {loaded.info['task']}; z from the joints is off by {loaded.residuals()['task']:.0e} m")
+assert (loaded.labels, loaded.units, loaded.frame) == (("distance",), ("m",), "panda_hand_tcp")
 assert loaded.residuals()["task"] < 1e-12

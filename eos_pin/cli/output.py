@@ -135,12 +135,9 @@ def scene_of(result: Result, robot: Robot, obstacles: Sequence[Obstacle] = (), *
     """What there is to see of a run: the robot, its reference path, and the trace of the frame that follows it."""
     from eos_pin.viewer.scene import Scene
 
-    task = result.info.get("task") or {}
-    first = task["tasks"][0] if task.get("kind") == "stacked" else task
-    frame = first.get("frame", "")
+    frame, axes, kind = result.frame, result.axes, (result.info.get("task") or {}).get("kind", "motion")
     paths = {}
-    axes = first.get("axes", "xyz")
-    if first.get("kind") in ("position", "pose") and len(result.t) and np.isfinite(result.z_ref).all():
+    if frame and axes and not result.seen_from and len(result.t) and np.isfinite(result.z_ref).all():
         # Axes that do not count lie where the frame is.
         tip = np.array([robot.placement(q, frame).translation for q in result.q])
         tip[:, ["xyz".index(axis) for axis in axes]] = result.z_ref[:, : len(axes)]
@@ -154,9 +151,7 @@ def scene_of(result: Result, robot: Robot, obstacles: Sequence[Obstacle] = (), *
     used = summary["limits"]
     caption += f"; limits {used['told']}" if math.isfinite(used["worst"]) else ""
     traces = {"actual": frame} if frame else {}
-    return Scene(
-        robot, paths, traces, tuple(obstacles), title or f"{robot.name}: {first.get('kind', 'motion')}", caption
-    )
+    return Scene(robot, paths, traces, tuple(obstacles), title or f"{robot.name}: {kind}", caption)
 
 
 def write_outputs(
@@ -265,8 +260,9 @@ def run_table(summary: Mapping[str, Any]) -> Table:
     table.add_row("joints n, task m, redundancy r", f"{summary['n']}, {summary['m']}, {summary['r']}")
     period = f" of {summary['period']:g} s" if summary["period"] else ""
     table.add_row("duration", f"{summary['duration']:g} s, {summary['cycles']} cycles{period}")
+    units = " or ".join(dict.fromkeys(summary["units"])) or "m or rad"
     settled = f"after {summary['settled_from']:g} s"
-    table.add_row(f"task error, {settled}", f"{format_number(summary['task_error_max'])} m or rad")
+    table.add_row(f"task error, {settled}", f"{format_number(summary['task_error_max'])} {units}")
     nothing = "none: the task takes all joints (r = 0)" if summary["m"] and not summary["r"] else ""
     table.add_row(f"self-motion error, {settled}", nothing or format_number(summary["self_motion_error_max"]))
     drift = ", ".join(format_number(d) for d in summary["joint_drift_per_cycle"]) or "-"

@@ -21,9 +21,6 @@ from eos_pin._kernels.dispatch import DONE, use_compiled
 from eos_pin.charts._basis import DENSE
 from eos_pin.charts.chart import DENSE_SOLVE, EDGE, Chart
 from eos_pin.errors import ChartError
-from eos_pin.tasks.base import Task
-from eos_pin.tasks.frame import FrameTask
-from eos_pin.trajectories.base import Hold, Trajectory
 
 MapKernel, LawKernel = use_compiled(plain_law.AccelerationMap), use_compiled(plain_law.TrackingLaw)
 
@@ -114,7 +111,7 @@ class AccelerationMap:
         return (ddq, margin) if status == DONE else (self._near_singularity(J, F, dq), 0.0)
 
     def tracking_law(
-        self, kp: TaskVector, kd: TaskVector, kp_v: SelfMotionVector, kd_v: SelfMotionVector, v_d: Trajectory
+        self, kp: TaskVector, kd: TaskVector, kp_v: SelfMotionVector, kd_v: SelfMotionVector, v_d: SelfMotionVector
     ) -> Any:
         """This, and `EosController.asked` for self-motion that is held at v_d, in one kernel; None where there is none.
 
@@ -125,13 +122,11 @@ class AccelerationMap:
             kd_v: Gain on dv, (r,).
             v_d: Where v is held.
         """
-        # A Hold of one's own kind may move.
-        if self._kernel is None or type(v_d) is not Hold:
+        if self._kernel is None:
             return None
         task = self.chart.task
-        at = task.kernel if isinstance(task, FrameTask) and type(task).at is FrameTask.at else task._at
-        minus = None if type(task).minus is Task.minus else task._minus
-        held = v_d.z + self.chart.basis.project(self.chart.q_bar) - self.chart.v_bar
+        at, minus = task.kernel or task._at, None if task.is_vector else task._minus
+        held = v_d + self.chart.basis.project(self.chart.q_bar) - self.chart.v_bar
         return LawKernel(*self._made_from, kp, kd, kp_v, kd_v, held, at, minus)
 
     def margin(self, J: Jacobian, enough: float) -> float:

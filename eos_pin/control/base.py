@@ -4,22 +4,46 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from eos_pin._arrays import (
+    Array,
     JointVector,
     TaskVector,
+    Vector,
     VectorLike,
     frozen_copy,
     gains,
     number,
 )
+from eos_pin.charts.chart import Chart
 from eos_pin.errors import InputError, Renamed
 from eos_pin.robot.model import Robot
-from eos_pin.tasks.base import Task, TaskPoint
-from eos_pin.trajectories.base import Trajectory, check_reference
+from eos_pin.tasks.base import Point, Task, TaskPoint
+from eos_pin.trajectories.base import Target, Trajectory, check_reference
+
+
+class ControlReport(NamedTuple):
+    """Torque of a controller in one state, and its effect on the task.
+
+    Attributes:
+        tau: Joint torques [N m or N].
+        z: Task point; empty without a task.
+        dz: Task velocity [m/s, rad/s].
+        deficit_from_singularity: Task acceleration given up because the task is nearly singular, (m,); NaN where the
+            controller does not measure it.
+        deficit_from_limits: Task acceleration given up to limits, (m,); NaN likewise.
+    """
+
+    tau: JointVector
+    z: Point
+    dz: TaskVector
+    deficit_from_singularity: TaskVector
+    deficit_from_limits: TaskVector
+
 
 #: Largest relative difference of two control periods that are the same.
 SAME_PERIOD = 1e-9
@@ -28,11 +52,24 @@ SAME_PERIOD = 1e-9
 class Controller(ABC):
     """Torques for a robot, as a pure function of time, state and an explicit memory.
 
+    This class is all that the drivers (`simulate`, `simulate_extended`, `simulate_sampled` and `ControlLoop`) ask of a
+    controller. A controller of one's own defines `torque`, and sets `robot`, `task` and `reference` in its constructor
+    as far as it has them; every other method has a default that fits a controller without memory. See docs/extending.md
+    and examples/10_own_controller.py.
+
     Attributes:
+        robot: The model the controller knows, which need not be the plant; None where it knows none.
+        task: Task whose errors are recorded; None where there is none.
+        reference: Trajectory of the task; None where there is none.
         control_period: Period at which it has to be called [s]; None where any will do.
     """
 
+    robot: Robot | None = None
+    task: Task | None = None
+    reference: Trajectory | None = None
     control_period: float | None = None
+
+    # -- the law -----------------------------------------------------------------------------------------------------
 
     def start(self, t: float, q: JointVector, dq: JointVector) -> Any:
         """Memory at the start of a run; None for a controller that needs none."""
@@ -64,8 +101,72 @@ class Controller(ABC):
         return self.torque(t, q, dq, state), state
 
     def describe(self) -> dict[str, Any]:
-        """What it is, in plain values, for the provenance of a run."""
+        """Name and settings in plain values, for the provenance of a run."""
         return {"kind": type(self).__name__}
+
+    # -- questions of drivers ----------------------------------------------------------------------------------------
+
+    def check_plant(self, plant: Robot) -> None:
+        """Refuse a plant that does not fit; a controller that needs more of its plant overrides this.
+
+        Raises:
+            InputError: The plant has another number of joints than the controller's robot.
+        """
+        if self.robot is not None and self.robot.n != plant.n:
+            raise InputError(f"the controller is for {self.robot.n} joints, the plant {plant.name!r} has {plant.n}")
+
+    def evaluate(
+        self, t: float, q: JointVector, dq: JointVector, state: Any, tau: JointVector | None = None
+    ) -> ControlReport:
+        """Torque in a state and its effect on the task, for the record of a run.
+
+        Args:
+            t: Time [s].
+            q: Joints.
+            dq: Joint velocities.
+            state: Memory.
+            tau: Torque that acts, where a sampled run holds one; by default that of `torque`.
+        """
+        tau, nothing = self.torque(t, q, dq, state) if tau is None else tau, np.zeros(0)
+        if self.task is None:
+            return ControlReport(tau, nothing, nothing, nothing, nothing)
+        point, unknown = self.task._at(q, dq), np.full(self.task.m, np.nan)
+        return ControlReport(tau, point.z, point.dz, unknown, unknown)
+
+    def task_deficit(self, t: float, q: JointVector, dq: JointVector, state: Any) -> TaskVector | None:
+        """Task acceleration that the law asks for and the torque does not bring, (m,); None where it is not known."""
+        return None
+
+    def chart(self, state: Any) -> Chart | None:
+        """Chart that the memory is on; None for a controller without charts."""
+        return None
+
+    def self_motion_target(self, t: float, state: Any) -> Target | None:
+        """Self-motion (v, dv, ddv) that is tracked at time t; None if none is."""
+        return None
+
+    def holding_torque(self, q: JointVector) -> JointVector:
+        """Torque at rest from which a soft start begins: that of gravity, as the controller knows it [N m or N]."""
+        return np.zeros(q.size) if self.robot is None else self.robot._gravity(q)
+
+    def broken_limits(
+        self, t: Vector, q: Float[Array, "T n"], dq: Float[Array, "T n"], tau: Float[Array, "T n"]
+    ) -> str:
+        """Sentence about limits that the controller was to keep and a run passed; empty where it passed none.
+
+        Args:
+            t: Times [s], (T,).
+            q: Joints, (T, n).
+            dq: Joint velocities, (T, n).
+            tau: Torques, (T, n).
+        """
+        return ""
+
+    @property
+    def unset(self) -> tuple[str, ...]:
+        """Names among `task` and `reference` that neither the class nor its constructor has set, not even to None."""
+        own = [vars(self), *(vars(base) for base in type(self).__mro__ if base is not Controller)]
+        return tuple(name for name in ("task", "reference") if not any(name in names for names in own))
 
 
 def agreed_period(controller: Controller, given: float | None) -> float | None:
@@ -120,9 +221,12 @@ class TaskController(Controller):
     ) -> None:
         task.robot.check_dynamics()
         self._version, self._model = object(), task.robot
-        self.task, self.feedforward, self.gravity = task, feedforward, gravity
+        self.robot: Robot = task.robot
+        self.task: Task = task
+        self.feedforward, self.gravity = feedforward, gravity
         self.kp: TaskVector
         self.kd: TaskVector
+        self.reference: Trajectory
         self.kp, self.kd, self.reference = kp, kd, reference  # type: ignore[assignment]
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -146,17 +250,12 @@ class TaskController(Controller):
             check_reference(self.task, value)
         elif name == "gravity":
             object.__setattr__(self, "_model", self.robot if value else self.robot.with_gravity(0.0))
-        elif name in ("task", "robot") and hasattr(self, "task"):
+        elif name in ("task", "robot") and name in vars(self):
             raise InputError(
                 f"the {name} of a controller cannot be changed. Make another controller; a running loop takes it over "
                 "by: loop.controller = …"
             )
         return value
-
-    @property
-    def robot(self) -> Robot:
-        """The model the controller knows."""
-        return self.task.robot
 
     def describe(self) -> dict[str, Any]:
         return super().describe() | {
@@ -178,6 +277,10 @@ class TaskController(Controller):
         pull += ddz_d
         return pull
 
+    def holding_torque(self, q: JointVector) -> JointVector:
+        # Without gravity where the controller leaves that to the plant.
+        return self._model._gravity(q)
+
     def task_deficit(self, t: float, q: JointVector, dq: JointVector, state: Any) -> TaskVector:
         """Task acceleration that the law asks for and the torque does not bring, by the controller's own model.
 
@@ -195,6 +298,8 @@ class OpenLoop(Controller):
     Args:
         tau: Function of t [s] that returns the torques (n,) [N m or N].
     """
+
+    task = reference = None
 
     def __init__(self, tau: Callable[[float], VectorLike]) -> None:
         self.tau = tau

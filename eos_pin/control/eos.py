@@ -16,12 +16,13 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin._kernels.dispatch import DONE
+from eos_pin._kernels.overrides import stands_for
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import AccelerationMap
-from eos_pin.control.base import TaskController
+from eos_pin.control.base import ControlReport, TaskController
 from eos_pin.control.objectives import Objective, Track
-from eos_pin.control.state import ControlReport, EosState
+from eos_pin.control.state import EosState
 from eos_pin.errors import InputError, Renamed, SingularError
 from eos_pin.tasks.base import Task, TaskPoint
 from eos_pin.trajectories.base import Target, Trajectory
@@ -75,6 +76,11 @@ class EosController(TaskController):
         self.self_motion = self_motion or Track()
         self.atlas = atlas or Atlas(task)
 
+    def __init_subclass__(cls, **rest: Any) -> None:
+        super().__init_subclass__(**rest)
+        # A law of one's own counts.
+        stands_for(cls, "compiled_law", "task_acceleration", "asked", off=_no_law)
+
     def _accepted(self, name: str, value: Any) -> Any:
         if name == "atlas" and value.task is not self.task:
             raise InputError("the atlas of an EosController must be of the controller's own task object")
@@ -116,12 +122,14 @@ class EosController(TaskController):
 
     def _made(self, chart: Chart) -> dict[str, Any]:
         """What a memory holds of gains, targets and the chart."""
-        drive, track, law = AccelerationMap(chart, smooth=self.smooth), self.self_motion, None
-        # A law of one's own is used as it is.
-        if type(track) is Track and type(self).task_acceleration is TaskController.task_acceleration:
-            law = drive.tracking_law(self.kp, self.kd, *track.law(chart.r))
-            track.users.add(self)
-        return {"drive": drive, "law": law, "made_of": self._version}
+        drive = AccelerationMap(chart, smooth=self.smooth)
+        self.self_motion.add_user(self)
+        return {"drive": drive, "law": self.compiled_law(drive), "made_of": self._version}
+
+    def compiled_law(self, drive: AccelerationMap) -> Any:
+        """`asked` and `drive` in one, compiled; None without, and where a law or its target is of another kind."""
+        held = self.self_motion.held_law(drive.chart.r)
+        return None if held is None else drive.tracking_law(self.kp, self.kd, *held)
 
     def _current(self, state: EosState) -> EosState:
         """The same memory, made anew where it was made of other gains or another target than there are now."""
@@ -173,18 +181,20 @@ class EosController(TaskController):
         found = self.evaluate(t, q, dq, state)
         return found.deficit_from_singularity + found.deficit_from_limits
 
-    def evaluate(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> ControlReport:
-        """The torque at a state, and what it is made of, for the record of a run."""
+    def evaluate(
+        self, t: float, q: JointVector, dq: JointVector, state: EosState, tau: JointVector | None = None
+    ) -> ControlReport:
+        # What the law asks for and gives up in this state, whatever torque is held.
         q = state.chart._unwrap(q)
         ddq, margin, J = self._drive(t, q, dq, self._current(state))
-        tau, change = self._within(q, dq, ddq, J)
+        asked, change = self._within(q, dq, ddq, J)
         singular = self._rest
         # Where a direction fades no bound of the margin comes with the acceleration.
         if margin <= 0.0:
             point = self.task._at(q, dq)
             singular = self.task_acceleration(t, point) - J.dot(ddq) - point.drift
         limited = self._rest if change is self._unchanged else -J.dot(change)
-        return ControlReport(tau, self.task._value(q), J.dot(dq), singular, limited)
+        return ControlReport(asked if tau is None else tau, self.task._value(q), J.dot(dq), singular, limited)
 
     def validity(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> float:
         _, J = self.task._linearize(q)
@@ -237,6 +247,13 @@ class EosController(TaskController):
             "smooth": self.smooth,
         }
 
+    def chart(self, state: EosState) -> Chart:
+        return state.chart
+
     def self_motion_target(self, t: float, state: EosState) -> Target | None:
         """Self-motion that is tracked at time t; None if the objective tracks none."""
         return self.self_motion.target_on(t, state.chart)
+
+
+def _no_law(self: EosController, drive: AccelerationMap) -> None:
+    """No compiled law: that of a subclass counts."""

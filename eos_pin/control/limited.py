@@ -285,6 +285,11 @@ class LimitedEosController(EosController):
         """
         return gravity_overload(self.robot, q, self.limits.torque)
 
+    def broken_limits(
+        self, t: Vector, q: Float[Array, "T n"], dq: Float[Array, "T n"], tau: Float[Array, "T n"]
+    ) -> str:
+        return self.limits.passed(self.robot, t, q, dq, tau)
+
     def describe(self) -> dict[str, Any]:
         kept = {name: getattr(self.limits, name).tolist() for name in ("velocity", "braking", "torque")}
         return super().describe() | {"control_period": self.control_period, "limits": kept}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,8 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin._kernels.dispatch import use_compiled
-from eos_pin.control.base import Controller, TaskController, agreed_period
+from eos_pin.control.base import Controller, agreed_period
 from eos_pin.errors import InputError, Renamed, StateError
-from eos_pin.robot.model import Robot
 
 #: A move of a continuous joint from one state to the next beyond which it is looked at whether its angle was wrapped
 #: [rad].
@@ -107,7 +107,7 @@ class ControlLoop:
 
     @controller.setter
     def controller(self, controller: Controller) -> None:
-        robot = getattr(controller, "robot", None)
+        robot = controller.robot
         watch = self._watch or self._before
         if watch is not None and (self._robot is None or robot is None or self._robot.n == robot.n):
             t, q = watch.last
@@ -124,7 +124,7 @@ class ControlLoop:
     def _fit(self, controller: Controller) -> None:
         """Take a controller, and what is limited for it, unless something does not fit."""
         agreed_period(controller, self._period)
-        robot: Robot | None = getattr(controller, "robot", None)
+        robot = controller.robot
         limits, rate, first = self._given
         bounds: JointVector = np.array(np.inf)
         if limits is True:
@@ -146,8 +146,7 @@ class ControlLoop:
         self._shape = None if robot is None else (robot.n,)
         if self._ramp is not None:
             self._ramp.rate, self._ramp.first, self._ramp.limits = rate, first, bounds
-            # Without gravity where the controller leaves that to the robot.
-            self._ramp.model = getattr(controller, "_model", robot)
+            self._ramp.gravity = controller.holding_torque
         # Without any limit a torque passes as long as its square is a number.
         per_limit = np.maximum(1.0 / bounds, 1e-150)
         self._per_limit = np.array(np.broadcast_to(per_limit, self._shape or per_limit.shape), ndmin=1)
@@ -186,12 +185,12 @@ class ControlLoop:
         """Task acceleration that is asked for in a state and that a step there does not bring, (m,).
 
         Zero to rounding where the task is done as it should be; it takes as long as a step, so ask when it matters.
-        None before the first step, and for a controller that has no task.
+        None before the first step, and for a controller that does not know it.
 
         Raises:
             StateError: The state cannot be used.
         """
-        if self._watch is None or not isinstance(self._controller, TaskController):
+        if self._watch is None:
             return None
         q, dq = self._checked(q, "q"), self._checked(dq, "dq")
         if self._robot is not None:
@@ -267,7 +266,7 @@ class Ramp:
         rate: Most that each torque changes in a second [N m/s or N/s]; None for any.
         first: Torque at the start of a run, (n,); None for that which holds the robot against gravity.
         limits: Largest torques.
-        model: Robot whose gravity counts; None without.
+        gravity: Torque that holds the robot at rest, as a function of its joints.
     """
 
     def __init__(self, soft_start: float) -> None:
@@ -275,7 +274,7 @@ class Ramp:
         self.rate: JointVector | None = None
         self.first: JointVector | None = None
         self.limits: JointVector = np.array(np.inf)
-        self.model: Robot | None = None
+        self.gravity: Callable[[JointVector], JointVector] = np.zeros_like
         self.forget()
 
     def forget(self) -> None:
@@ -297,7 +296,7 @@ class Ramp:
             tau: Torque that is asked for, within the limits.
         """
         soft = math.isnan(self._since) or t - self._since < self.soft_start
-        gravity = self.model._gravity(q) if soft and self.model is not None else np.zeros(tau.size)
+        gravity = self.gravity(q) if soft else np.zeros(tau.size)
         if self._last is None:
             first = gravity if self.first is None else self.first
             self._last = t, np.minimum(np.maximum(first, -self.limits), self.limits)

@@ -23,6 +23,7 @@ from eos_pin._arrays import (
     gains,
     vector,
 )
+from eos_pin._kernels.overrides import stands_for
 from eos_pin.charts.chart import Chart
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
@@ -30,7 +31,11 @@ from eos_pin.trajectories.base import Hold, Target, Trajectory
 
 
 class Objective(ABC):
-    """A law for the self-motion."""
+    """A law for the self-motion.
+
+    A law of one's own is a subclass that defines `acceleration`, see docs/extending.md and
+    examples/09_own_objective.py; every other method has a default.
+    """
 
     @abstractmethod
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
@@ -43,6 +48,16 @@ class Objective(ABC):
     def target_on(self, t: float, chart: Chart) -> Target | None:
         """The same on a chart, for laws that track joints."""
         return self.target(t, chart.r)
+
+    def held_law(self, r: int) -> tuple[SelfMotionVector, SelfMotionVector, SelfMotionVector] | None:
+        """Gains kp and kd and constant v_d, (r,) each, where `acceleration` is kp (v_d − v) − kd dv; None elsewhere.
+
+        Compiled control is made of them. A law whose values may change must then tell its users, see `add_user`.
+        """
+        return None
+
+    def add_user(self, controller: Any) -> None:  # noqa: B027 - most have nothing to tell
+        """Note a controller whose `renew()` is to be called when the values of `held_law` change."""
 
     def check(self, n: int, r: int) -> None:  # noqa: B027 - most fit any
         """Refuse a robot or a task that it does not fit.
@@ -79,6 +94,11 @@ class Track(Objective):
         self._laws: dict[int, tuple[SelfMotionVector, SelfMotionVector, Trajectory]] = {}
         self.reference: Trajectory | None
         self.reference, self.kp, self.kd = reference, kp, kd  # type: ignore[assignment]
+
+    def __init_subclass__(cls, **rest: Any) -> None:
+        super().__init_subclass__(**rest)
+        # A law of one's own counts.
+        stands_for(cls, "held_law", "acceleration", off=Objective.held_law)
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name == "reference" and value is not None and not isinstance(value, Trajectory):
@@ -122,13 +142,20 @@ class Track(Objective):
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         kp, kd, reference = self.law(chart.r)
-        if type(reference) is Hold:
+        if (held := reference.constant) is not None:
             # The everyday case, without terms that are zero.
-            pull = kp * (reference.z - chart._v(q))
+            pull = kp * (held - chart._v(q))
             pull -= kd * chart._dv(dq)
             return pull
         v_d, dv_d, ddv_d = reference(t)
         return ddv_d + kd * (dv_d - chart._dv(dq)) + kp * (v_d - chart._v(q))
+
+    def held_law(self, r: int) -> tuple[SelfMotionVector, SelfMotionVector, SelfMotionVector] | None:
+        kp, kd, reference = self.law(r)
+        return None if (held := reference.constant) is None else (kp, kd, held)
+
+    def add_user(self, controller: Any) -> None:
+        self.users.add(controller)
 
     def target(self, t: float, r: int) -> Target:
         return self.law(r)[2](t)

@@ -1,15 +1,14 @@
-"""What `EosController` remembers from one call to the next, and what it tells about one."""
+"""Memory of `EosController` from one call to the next."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
-from eos_pin._arrays import JointVector, SelfMotionVector, TaskVector
+from eos_pin._arrays import JointVector, SelfMotionVector
 from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import AccelerationMap
-from eos_pin.tasks.base import Point
 
 #: Rate at which the acceleration that is carried over to the next chart is forgotten [1/s], and that for every radian
 #: per second of joint speed: it has to be gone before a fast robot is through with the chart.
@@ -49,21 +48,3 @@ class EosState:
             return None
         rate = max(FORGETTING, PER_SPEED * math.sqrt(dq.dot(dq)))
         return math.exp(rate * (self.since - t)) * self.carried
-
-
-class ControlReport(NamedTuple):
-    """What `EosController` does in one state.
-
-    Attributes:
-        tau: Joint torques [N m or N].
-        z: Task point.
-        dz: Task velocity [m/s, rad/s].
-        deficit_from_singularity: Task acceleration given up because the task is nearly singular, (m,).
-        to_limits: Task acceleration given up to limits, (m,).
-    """
-
-    tau: JointVector
-    z: Point
-    dz: TaskVector
-    deficit_from_singularity: TaskVector
-    deficit_from_limits: TaskVector

@@ -28,7 +28,8 @@ from eos_pin.experiments.options import (
 )
 from eos_pin.robot.model import Robot
 from eos_pin.simulation._recorder import Observer
-from eos_pin.simulation.result import Result, provenance
+from eos_pin.simulation._storage import provenance
+from eos_pin.simulation.result import Result
 
 #: What is known of one run: its settings and its figures by name.
 Row: TypeAlias = dict[str, Any]

@@ -26,7 +26,7 @@ from eos_pin.plots._style import (
     name_axes,
     shortened,
 )
-from eos_pin.plots.panels import joints_at, key_times, places
+from eos_pin.plots.panels import joints_at, key_times
 from eos_pin.robot.loading import leaf_frames
 from eos_pin.robot.model import Robot
 from eos_pin.simulation.result import Result
@@ -64,9 +64,8 @@ def plot_key_frames(
     if times is None:
         times = key_times(result, per_cycle=8, first=max(result.cycles - 1, 0))
     times = np.asarray(times, dtype=float)
-    task = result.info.get("task") or {}
     if trace is None:
-        trace = [task["frame"]] if task.get("frame") else leaf_frames(robot)
+        trace = [result.frame] if result.frame else leaf_frames(robot)
     shades = np.linspace(0.2, 1.0, len(times)) ** 1.5 if len(times) > 1 else np.ones(1)
     points = _points(robot, joints_at(result, times))
     columns = largest(np.concatenate([*points.values()]), 3 if is_solid(ax) else 2)
@@ -84,8 +83,8 @@ def plot_key_frames(
                 "zorder": 3,
             }
             ax.plot(*line[1:].T, color=color, linestyle="", **dot)
-    axes = places(task)
-    if task.get("kind") in ("position", "pose") and all("xyz"[i] in axes for i in columns):
+    axes = result.axes
+    if result.frame and not result.seen_from and all("xyz"[i] in axes for i in columns):
         rows = [axes.index("xyz"[i]) for i in columns]
         ax.plot(*result.z_ref[:, rows].T, color=REFERENCE, linewidth=2.5, zorder=1, label="reference")
     between = joints_at(result, np.linspace(times[0], times[-1], 300))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import cycle, pairwise
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,8 @@ from eos_pin.plots._style import (
     GREEN,
     LIMIT,
     MARK,
+    ORANGE,
+    PURPLE,
     REFERENCE,
     STILL,
     VERMILION,
@@ -49,12 +51,12 @@ def plot_path(ax: Axes, result: Result) -> None:
     """
     if not result.z.size:
         return draw_nothing(ax, "no task")
-    names = places(result.info.get("task") or {})
+    names = result.axes
     if len(names) < 2:
         ax.plot(result.t, result.z_ref, color=REFERENCE, linewidth=3.5)
         draw_lines(ax, result.t, result.z, "z")
         name_time(ax, result)
-        return _set_ylabel(ax, "task point", task_units(result))
+        return _set_ylabel(ax, result.labels[0] if len(result.labels) == 1 else "task point", result.units)
     columns = largest(_seen_path(result), 3 if is_solid(ax) else 2)
     ax.plot(*result.z_ref[:, columns].T, color=REFERENCE, linewidth=2.5, label="reference")
     ax.plot(*result.z[:, columns].T, color=ACTUAL, label="actual")
@@ -164,11 +166,11 @@ def plot_charts(ax: Axes, result: Result) -> None:
 
 def plot_errors(ax: Axes, result: Result) -> None:
     """Task error by unit, and self-motion error, as norms on a logarithmic axis over time."""
-    units = np.array(task_units(result) or ["m, rad"] * result.error.shape[1])
-    names = {"m": "position", "rad": "rotation"}
+    units = np.array(result.units or ["m, rad"] * result.error.shape[1])
+    names = {"m": "position" if result.axes else "task", "rad": "rotation"}
     curves = [
         (f"{names.get(unit, 'task')} [{unit}]", result.error[:, units == unit], color)
-        for unit, color in zip(dict.fromkeys(units.tolist()), (ACTUAL, VERMILION), strict=False)
+        for unit, color in zip(dict.fromkeys(units.tolist()), cycle((ACTUAL, VERMILION, ORANGE, PURPLE)), strict=False)
     ]
     curves.append(("self-motion", result.self_motion_error, GREEN))
     curves = [curve for curve in curves if np.isfinite(curve[1]).any()]
@@ -191,7 +193,7 @@ def plot_task_error(ax: Axes, results: Mapping[str, Result]) -> None:
             ax.plot(result.t, _positive(error), color=color, linewidth=0.9, label=name, zorder=3.0 - 0.01 * k)
     use_decades(ax)
     name_time(ax, *results.values())
-    _set_ylabel(ax, "task error", [unit for result in results.values() for unit in task_units(result)])
+    _set_ylabel(ax, "task error", [unit for result in results.values() for unit in result.units])
 
 
 def plot_kinetic_energy(ax: Axes, results: Result | Mapping[str, Result]) -> None:
@@ -286,29 +288,10 @@ def has_depth(result: Result) -> bool:
     return bool(len(extents) == 3 and extents[0] > 0.15 * extents[2])
 
 
-def places(task: Mapping[str, Any]) -> str:
-    """Axes of the positions that a task point begins with."""
-    if task.get("kind") == "stacked":
-        return places(task["tasks"][0])
-    return "xyz" if task.get("kind") == "pose" else str(task.get("axes", ""))
-
-
-def task_units(result: Result) -> list[str]:
-    """Unit of each coordinate of the task error; empty for a task that is not known here."""
-    return _units(result.info.get("task") or {})
-
-
 def joint_units(robot: Robot | None) -> list[str]:
     """The units that occur in q; both where the robot is not known."""
     kinds = {joint.kind == "prismatic" for joint in robot.joints} if robot else {False, True}
     return [unit for unit, slides in (("rad", False), ("m", True)) if slides in kinds]
-
-
-def _units(task: Mapping[str, Any]) -> list[str]:
-    if task.get("kind") == "stacked":
-        return [unit for part in task["tasks"] for unit in _units(part)]
-    turns = {"orientation": 3, "pose": 3, "heading": 1}.get(task.get("kind", ""), 0)
-    return ["m"] * len(places(task)) + ["rad"] * turns
 
 
 def _set_ylabel(ax: Axes, name: str, units: Sequence[str]) -> None:
@@ -323,7 +306,7 @@ def _positive(values: Vector) -> Vector:
 def _seen_path(result: Result) -> Array:
     """Positions of the task that decide from where its path is seen: those asked for, or else those reached."""
     z = result.z_ref if np.isfinite(result.z_ref).all() else result.z
-    return z[:, : len(places(result.info.get("task") or {}))]
+    return z[:, : len(result.axes)]
 
 
 def _projection(

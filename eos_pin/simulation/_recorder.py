@@ -22,13 +22,12 @@ from eos_pin._arrays import (
 )
 from eos_pin.charts.chart import Chart
 from eos_pin.control.base import Controller
-from eos_pin.control.eos import EosController
-from eos_pin.control.limited import LimitedEosController
 from eos_pin.errors import ChartError, EosError, InputError, SingularError
 from eos_pin.robot.model import Robot
+from eos_pin.simulation._storage import provenance
 from eos_pin.simulation._systems import System
 from eos_pin.simulation.limit_use import limits_of
-from eos_pin.simulation.result import Result, provenance
+from eos_pin.simulation.result import Result, names_of
 from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Trajectory
 
@@ -58,15 +57,15 @@ class _Row(NamedTuple):
     work: float
     state: Any
     chart: Chart | None
-    #: z, dz, and what is given up to a singularity and to limits, where the controller says so.
-    task: tuple[Array, Array, Array, Array] | None
+    #: z, dz, and the deficits that the controller reports.
+    task: tuple[Array, Array, Array, Array]
 
 
 class Recorder:
     """Collects samples, and how the run ended."""
 
     def __init__(self, system: System, times: Vector, arguments: dict[str, Any], observer: Observer | None) -> None:
-        check_run(system.plant.n, len(times), float(times[-1]), getattr(system.controller, "reference", None))
+        check_run(system.plant.n, len(times), float(times[-1]), system.controller.reference)
         self.system, self.arguments, self.observer = system, arguments, observer
         self.times: list[float] = times.tolist()
         self.switches: list[float] = []
@@ -95,16 +94,10 @@ class Recorder:
         self._next += self._next < len(self.times) and t >= self.times[self._next]
         system = self.system
         q, dq = system.joints(np.array(x))
-        controller, done = system.controller, None
-        if isinstance(controller, EosController):
-            seen = controller.evaluate(t, q, dq, system.state)
-            done = seen[1:]
-            tau = seen.tau if tau is None else tau
-        if tau is None:
-            tau = controller.torque(t, q, dq, system.state)
+        report = system.controller.evaluate(t, q, dq, system.state, tau)
+        tau = report.tau
         ddq, _ = system.accelerate(t, q, dq, tau)
-        chart = getattr(system, "chart", None) or getattr(system.state, "chart", None)
-        self._rows.append(_Row(t, q, dq, ddq, np.array(tau), x[-1], system.state, chart, done))
+        self._rows.append(_Row(t, q, dq, ddq, np.array(tau), x[-1], system.state, system.recorded_chart, report[1:]))
         if self.observer is not None:
             self.observer(t, q)
 
@@ -124,8 +117,7 @@ class Recorder:
         t, q, dq, ddq, tau, work, *_ = zip(*self._rows, strict=True)
         cpu, wall = time.process_time() - self._clock, time.perf_counter() - self._wall
         force = self.system.task_force
-        task = getattr(controller, "task", None) or getattr(getattr(self.system, "atlas", None), "task", None)
-        task = task or (force.task if force else None)
+        task = self.system.task or (force.task if force else None)
         info = provenance() | {
             "robot": _record(plant),
             "limits": limits_of(plant),
@@ -151,6 +143,7 @@ class Recorder:
             status=self.status,
             message=self.message,
             info=info,
+            **names_of(task),
         )
         if not run.ok:
             return replace(run, message=run.message or _not_measured(controller))
@@ -161,16 +154,14 @@ class Recorder:
             for kind, met in run.singularities.items()
             if kind in why
         )
-        passed = ""
-        if isinstance(controller, LimitedEosController):
-            passed = controller.limits.passed(controller.robot, run.t, run.q, run.dq, run.tau)
+        passed = controller.broken_limits(run.t, run.q, run.dq, run.tau)
         messages = [passed] * bool(passed) + [f"part of the task was given up {when}"] * bool(lost.any())
         # While the controller settles that is to be expected; later the run has not done what it was to do.
         degraded = passed or lost[run.settled_row :].any()
         message = ". Also, ".join(messages) or run.message or _not_measured(controller)
         return replace(run, status="degraded" if degraded else run.status, message=message)
 
-    def _self_motion(self) -> dict[str, Array]:
+    def _self_motion(self) -> dict[str, Any]:
         """Number of the chart and self-motion of each sample."""
         rows, controller = self._rows, self.system.controller
         numbers: dict[Chart | None, int] = {}
@@ -182,19 +173,22 @@ class Recorder:
             if chart:
                 v[number == k] = chart.v_bar + chart.basis.project((q[number == k] - chart.q_bar).T).T
                 dv[number == k] = chart.basis.project(dq[number == k].T).T
-        if isinstance(controller, EosController):
-            targets = [controller.self_motion_target(row.t, row.state) for row in rows]
-            v_ref = np.array([np.full(r, np.nan) if target is None else target.z for target in targets])
+        for k, row in enumerate(rows):
+            target = controller.self_motion_target(row.t, row.state)
+            if target is not None:
+                v_ref[k] = target.z
         return {"chart": number, "v": v, "dv": dv, "v_ref": v_ref}
 
-    def _task(self, task: Task | None) -> dict[str, Array]:
+    def _task(self, task: Task | None) -> dict[str, Any]:
         """What became of the task at each sample."""
         rows, controller, force = self._rows, self.system.controller, self.system.task_force
         if task is None:
             return {name: np.zeros((len(rows), 0)) for name in _TASK_COLUMNS}
-        reference, nothing = getattr(controller, "reference", None), np.zeros(task.m)
+        reference, unknown = controller.reference, np.full(task.m, np.nan)
         # The plant's kinematics are those of the controller's model, which may differ in inertia only.
-        done = [row.task or (*task._at(row.q, row.dq)[::2], nothing, nothing) for row in rows]
+        done = [
+            row.task if task is controller.task else (*task._at(row.q, row.dq)[::2], unknown, unknown) for row in rows
+        ]
         z, dz, singular, limited = map(np.array, zip(*done, strict=True))
         z_ref, error = np.full_like(z, np.nan), np.full_like(dz, np.nan)
         if reference is not None:
@@ -205,9 +199,9 @@ class Recorder:
 
 
 def _not_measured(controller: Controller) -> str:
-    """Sentence about what is not known of a run because a controller of somebody's own does not tell it."""
-    missing = [name for name in ("task", "reference") if not hasattr(controller, name)]
-    if not missing or type(controller).__module__.startswith("eos_pin."):
+    """Sentence about figures that a run lacks because its controller has set no task or no reference."""
+    missing = controller.unset
+    if not missing:
         return ""
     return (
         f"no task error is known: {type(controller).__name__} has no attribute {' and no '.join(missing)}. Set "
@@ -274,7 +268,7 @@ def joint_run(
         task_deficit=0.0 * error, deficit_from_limits=0.0 * error,
         v=v, dv=0.0 * v, v_ref=np.full_like(v, np.nan), chart=chart, switches=t[1:][np.diff(chart) != 0],
         kinetic_energy=rest, work=rest, period=period,
-        status="unreached" if message else "finished", message=message, info=provenance() | info,
+        status="unreached" if message else "finished", message=message, info=provenance() | info, **names_of(task),
     )  # fmt: skip
 
 
@@ -307,11 +301,10 @@ def check_run(n: int, samples: int, duration: float, path: Trajectory | None) ->
             f"{samples:,} samples of {n} joints are more than can be kept; up to {MOST_JOINT_SAMPLES // n:,} are "
             "possible. Make the run shorter, or keep fewer samples per second"
         )
-    begin = getattr(path, "begin", 0.0)
-    if begin >= duration:
+    if path is not None and path.begin >= duration:
         raise InputError(
-            f"the path begins at t = {begin:.10g} s, when the run from 0 to {duration:g} s has ended. Count its times "
-            "from the start of the run, such as times - times[0]"
+            f"the path begins at t = {path.begin:.10g} s, when the run from 0 to {duration:g} s has ended. Count its "
+            "times from the start of the run, such as times - times[0]"
         )
 
 

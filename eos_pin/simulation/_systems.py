@@ -18,10 +18,12 @@ from eos_pin._arrays import (
 from eos_pin._kernels.dispatch import use_compiled
 from eos_pin.charts._newton import Inverse
 from eos_pin.charts.atlas import Atlas
+from eos_pin.charts.chart import Chart
 from eos_pin.control.base import Controller
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.simulation.disturbances import Friction, TaskForce
+from eos_pin.tasks.base import Task
 
 
 @use_compiled
@@ -47,9 +49,7 @@ class System(ABC):
         self, plant: Robot, controller: Controller, task_force: TaskForce | None, friction: Friction | None = None
     ) -> None:
         plant.check_dynamics()
-        robot = getattr(controller, "robot", plant)
-        if robot.n != plant.n:
-            raise InputError(f"the controller is for {robot.n} joints, the plant {plant.name!r} has {plant.n}")
+        controller.check_plant(plant)
         if task_force is not None and task_force.task.robot.n != plant.n:
             raise InputError(
                 f"the task force is on a robot with {task_force.task.robot.n} joints, the plant has {plant.n}"
@@ -64,7 +64,19 @@ class System(ABC):
 
     @property
     def reference_period(self) -> float:
-        return float(getattr(getattr(self.controller, "reference", None), "period", math.inf))
+        """Period of the reference [s]; infinite if it does not repeat, or there is none."""
+        reference = self.controller.reference
+        return math.inf if reference is None else float(reference.period)
+
+    @property
+    def task(self) -> Task | None:
+        """Task whose errors are recorded."""
+        return self.controller.task
+
+    @property
+    def recorded_chart(self) -> Chart | None:
+        """Chart whose number and self-motion are recorded."""
+        return self.controller.chart(self.state)
 
     def accelerate(self, t: float, q: JointVector, dq: JointVector, tau: JointVector) -> tuple[JointVector, float]:
         """Acceleration of the plant under all torques that act on it, and the power they bring in [W]."""
@@ -166,6 +178,14 @@ class ExtendedSystem(System):
         if atlas.task.robot.n != plant.n:
             raise InputError(f"the atlas is of a robot with {atlas.task.robot.n} joints, the plant has {plant.n}")
         self.atlas = atlas
+
+    @property
+    def task(self) -> Task:
+        return self.controller.task or self.atlas.task
+
+    @property
+    def recorded_chart(self) -> Chart:
+        return self.chart
 
     def begin(self, q: JointVector, dq: JointVector) -> Vector:
         self.state = self.controller.start(0.0, q, dq)

@@ -209,7 +209,7 @@ def _check_speed(system: System, t: float, x: Vector) -> None:
     q, dq = system.joints(x)
     if dq.dot(dq) < TOO_FAST**2:
         return
-    task = getattr(system.controller, "task", None)
+    task = system.controller.task
     if task is not None and math.isfinite(x.dot(x)):
         values = np.linalg.svd(task._linearize(q)[1], compute_uv=False)
         if values[-1] < NEARLY_SINGULAR * values[0]:

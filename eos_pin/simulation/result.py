@@ -6,31 +6,25 @@ re-checks itself from its raw arrays, whoever produced them.
 
 from __future__ import annotations
 
-import json
 import math
-import platform
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from functools import cache
-from importlib import metadata
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from eos_pin._arrays import Array, Vector, nearest
-from eos_pin._files import write_atomically, write_csv
+from eos_pin._files import write_csv
 from eos_pin.errors import InputError, Renamed, ResultError
 from eos_pin.robot.loading import load_robot
 from eos_pin.robot.model import Robot
+from eos_pin.simulation._storage import read, write
 from eos_pin.simulation.disturbances import Friction
 from eos_pin.simulation.limit_use import use_of_limits
-from eos_pin.tasks.base import task_from_description
+from eos_pin.tasks.base import Task, task_from_description
 
-#: Written into every file; a file with another one is refused.
-FORMAT = "eos_pin result 2"
 #: Task acceleration beyond rounding [m/s², rad/s²].
 TASK_DEFICIT = 1e-6
 
@@ -65,6 +59,11 @@ class Result:
         status: `"finished"`, or why the run ended early, in one word.
         message: The same in a sentence, with advice.
         info: Provenance: versions, robot and its limits, task, controller, arguments, seed, time spent.
+        labels: Name of each coordinate of the task, (m,), as `Task.labels`; empty without a task.
+        units: Unit of each coordinate of the task, (m,), as `Task.units`.
+        frame: Frame whose path is drawn; empty where there is none.
+        axes: Axes of space along which the first coordinates of z are a place; empty where they are none.
+        seen_from: Frame in whose axes that place is; empty for the world.
     """
 
     t: Float[Array, " T"]
@@ -90,6 +89,11 @@ class Result:
     status: str = "finished"
     message: str = ""
     info: Mapping[str, Any] = field(default_factory=dict)
+    labels: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    frame: str = ""
+    axes: str = ""
+    seen_from: str = ""
 
     given_up = Renamed("task_deficit")
     given_up_to_limits = Renamed("deficit_from_limits")
@@ -106,6 +110,11 @@ class Result:
                 raise InputError(f"a result needs as many rows of {name} as times: {len(array)} against {rows}")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
+        for name in ("labels", "units"):
+            words = tuple(map(str, getattr(self, name)))
+            if len(words) not in (0, self.error.shape[1]):
+                raise InputError(f"a result needs {name} for its {self.error.shape[1]} task coordinates, got {words}")
+            object.__setattr__(self, name, words)
 
     @property
     def ok(self) -> bool:
@@ -212,13 +221,15 @@ class Result:
         Errors are maxima after transients, that is from the row `settled_row` on (`settled_from` in seconds).
         """
         late = slice(self.settled_row, None)
-        task, limits = self.info.get("task") or {}, self.limits
+        limits = self.limits
         return {
             "status": self.status,
             "message": self.message,
             "robot": self.info.get("robot", {}).get("name", ""),
-            "task": task,
-            "frame": task.get("frame", ""),
+            "task": self.info.get("task") or {},
+            "frame": self.frame,
+            "labels": list(self.labels),
+            "units": list(self.units),
             "controller": self.info.get("controller", {}),
             "n": self.q.shape[1],
             "m": self.error.shape[1],
@@ -319,37 +330,30 @@ class Result:
         path = Path(path)
         if path.suffix != ".npz":
             path = path.with_name(path.name + ".npz")
-        text = {
-            "format": FORMAT,
+        header = {
             "period": self.period if math.isfinite(self.period) else None,
             "status": self.status,
             "message": self.message,
+            "names": {name: getattr(self, name) for name in _NAMES},
             "info": dict(self.info),
         }
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
-
-        def write(file: IO[bytes]) -> None:
-            np.savez_compressed(file, allow_pickle=False, header=np.array(json.dumps(text)), **arrays)
-
-        write_atomically(path, write)
+        write(path, header, {name: getattr(self, name) for name in _ARRAYS})
         return path
 
     @classmethod
     def load(cls, path: str | Path) -> Result:
-        """Read a file that `save` wrote; nothing in it is executed.
+        """Read a file that `save` wrote, in this version or an earlier one; nothing in it is executed.
 
         Raises:
             ResultError: The file is missing, damaged, or not such a file.
         """
         path = Path(path)
         try:
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-                header = json.loads(str(file["header"]))
-                if header.get("format") != FORMAT:
-                    raise ResultError(f"{path} has format {header.get('format')!r}, this version reads {FORMAT!r}")
-                arrays = {name: file[name] for name in _ARRAYS}
+            header, arrays = read(path, _ARRAYS)
             period = header["period"] if header["period"] is not None else math.inf
-            return cls(**arrays, period=period, status=header["status"], message=header["message"], info=header["info"])
+            words: dict[str, Any] = {name: header[name] for name in ("status", "message", "info")} | header["names"]
+            columns: dict[str, Any] = arrays
+            return cls(**columns, period=period, **words)
         except ResultError:
             raise
         except Exception as error:  # NumPy, zipfile, zlib and json raise a dozen kinds on damaged bytes
@@ -373,25 +377,17 @@ class Result:
 
 
 _VECTORS = ("t", "chart", "kinetic_energy", "work", "switches")
-#: Names that arrays had in saved runs of 0.1.
-_OLD_NAMES = {"given_up": "task_deficit", "given_up_to_limits": "deficit_from_limits"}
-_ARRAYS = tuple(f.name for f in fields(Result) if f.name not in ("period", "status", "message", "info"))
+#: What the task says of itself: see `Task`.
+_NAMES = ("labels", "units", "frame", "axes", "seen_from")
+_ARRAYS = tuple(f.name for f in fields(Result) if f.name not in ("period", "status", "message", "info", *_NAMES))
 
 
-def provenance() -> dict[str, Any]:
-    """Versions that a run depends on."""
-    return {"versions": dict(_versions()), "python": platform.python_version(), "platform": sys.platform}
-
-
-@cache
-def _versions() -> dict[str, str]:
-    versions = {}
-    for name in ("eos-pin", "pin", "numpy", "scipy"):
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            versions[name] = "unknown"
-    return versions
+def names_of(task: Task | None) -> dict[str, Any]:
+    """Labels, units and frame of a task as a `Result` keeps them; nothing without a task."""
+    if task is None:
+        return {}
+    words = task.labels, task.units, task.frame, task.axes, task.seen_from
+    return dict(zip(_NAMES, words, strict=True))
 
 
 def _largest(values: Array) -> float:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from jaxtyping import Float
 
 from eos_pin._arrays import (
     Array,
@@ -31,6 +32,7 @@ from eos_pin._arrays import (
 )
 from eos_pin._kernels.flat import Part
 from eos_pin._kernels.kinematics import Kinematics
+from eos_pin._kernels.overrides import stands_for
 from eos_pin.errors import InputError, UnknownNameError
 from eos_pin.robot._data import workspace
 from eos_pin.robot.model import Robot
@@ -43,6 +45,9 @@ from eos_pin.tasks.target import Hold
 WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 _KINDS: dict[str, type[Task]] = {}
+#: The hooks of a task by their names before 0.2, and the methods that call them.
+_HOOKS = {"_z": "compute_point", "_J": "compute_jacobian", "_drift": "compute_drift"}
+_EVALUATIONS = ("value", "linearize", "at")
 
 
 @by_identity
@@ -69,14 +74,25 @@ _task_point = partial(tuple.__new__, TaskPoint)
 class Task(Checked, ABC):
     """A smooth function z = G(q) of the joints with its first two derivatives.
 
+    A task of one's own is a subclass that defines the three hooks `compute_point`, `compute_jacobian` and
+    `compute_drift`; `value`, `linearize` and `at` call them after the passes over Pinocchio that each needs. In a hook,
+    `frame_placement`, `frame_jacobian`, `frame_velocity` and `frame_acceleration` read frames. A task whose points are
+    no vector space also defines `minus` and `plus`. See docs/extending.md and examples/08_own_task.py.
+
     Attributes:
         robot: Robot whose joints it depends on.
         m: Dimension of the task.
         size: Length of the flat array z; m for a vector task, more for a rotation or a pose.
         labels: Name of each of the m coordinates.
         units: Unit of each of the m coordinates.
+        frame: Frame whose path is drawn in pictures and replays; empty where no frame stands for the task.
+        axes: Axes of space, such as `"xyz"`, along which the first coordinates of z are a place [m]; empty where they
+            are none.
+        seen_from: Frame in whose axes that place is; empty for the world.
         kind: Name of the kind of task, given where the class is defined.
         arguments: Names of what its constructor takes besides the robot; attributes of the same names keep it.
+        kernel: Object that computes `value`, `linearize` and `at` in one call; None where the hooks do.
+        is_vector: Whether `minus` is z1 − z0.
     """
 
     robot: Robot
@@ -84,15 +100,37 @@ class Task(Checked, ABC):
     size: int
     labels: tuple[str, ...]
     units: tuple[str, ...]
+    frame: str = ""
+    axes: str = ""
+    seen_from: str = ""
     kind: str = ""
     arguments: tuple[str, ...] = ()
+    kernel: Any = None
+    is_vector: bool = True
     #: Whether the placements of all frames are computed before the hooks; the package's own tasks compute theirs.
     _needs_frames: bool = True
+    #: Whether `value`, `linearize` and `at` are what the hooks give.
+    _by_hooks: bool = True
 
     def __init_subclass__(cls, kind: str = "", **rest: Any) -> None:
-        """Make the task known to `task_from_description` under the name `kind`."""
+        """Make the task known to `task_from_description` under the name `kind`.
+
+        Raises:
+            InputError: The class defines a hook by its name before 0.2.
+        """
         super().__init_subclass__(**rest)
-        cls._needs_frames = not cls.__module__.startswith("eos_pin.")
+        for old, new in _HOOKS.items():
+            if callable(vars(cls).get(old)):
+                raise InputError(
+                    f"{cls.__name__} defines {old}, a hook of 0.1; since 0.2 it is called {new}: rename it"
+                )
+        # What a subclass defines counts, whatever short cuts the class above it has.
+        hooks = tuple(_HOOKS.values())
+        stands_for(cls, "_needs_frames", *hooks, off=True)
+        stands_for(cls, "_by_hooks", *_EVALUATIONS, off=False)
+        stands_for(cls, "kernel", *hooks, *_EVALUATIONS)
+        stands_for(cls, "is_vector", "minus", off=False)
+        stands_for(cls, "frame_parts", *hooks, *_EVALUATIONS, "minus", "plus", off=Task.frame_parts)
         if kind:
             cls.kind = kind
             _KINDS[kind] = cls
@@ -118,7 +156,7 @@ class Task(Checked, ABC):
         pin.forwardKinematics(self._model, self._data, q)
         if self._needs_frames:
             pin.updateFramePlacements(self._model, self._data)
-        return self._z(self._data)
+        return self.compute_point(self._data)
 
     @checked
     def linearize(self, q: JointVector) -> tuple[Point, Jacobian]:
@@ -126,7 +164,7 @@ class Task(Checked, ABC):
         pin.computeJointJacobians(self._model, self._data, q)
         if self._needs_frames:
             pin.updateFramePlacements(self._model, self._data)
-        return self._z(self._data), self._matrix(self._J(self._data))
+        return self.compute_point(self._data), self._matrix(self.compute_jacobian(self._data))
 
     @checked
     def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
@@ -136,26 +174,53 @@ class Task(Checked, ABC):
         pin.computeJointJacobians(model, data)
         if self._needs_frames:
             pin.updateFramePlacements(model, data)
-        J = self._J(data)
+        J = self.compute_jacobian(data)
         if J.ndim == 1:
             J = self._matrix(J)
-        return _task_point((self._z(data), J, J.dot(dq), self._drift(data)))
+        return _task_point((self.compute_point(data), J, J.dot(dq), self.compute_drift(data)))
 
     def _matrix(self, J: Array) -> Jacobian:
         """J itself; with one joint, Pinocchio's bindings make a vector of what should be a column."""
         return J if J.ndim == 2 else J[:, None]
 
-    @abstractmethod
-    def _z(self, data: pin.Data) -> Point:
-        """Task point, after a pass that computed the placements of joints and frames."""
+    # -- the hooks, and what they may read ---------------------------------------------------------------------------
 
     @abstractmethod
-    def _J(self, data: pin.Data) -> Jacobian:
-        """Jacobian, after a pass that computed the joint Jacobians."""
+    def compute_point(self, data: pin.Data) -> Point:
+        """Hook: task point z = G(q), (size,); Eq. (1).
+
+        Args:
+            data: Results of Pinocchio: here placements of joints and frames. A hook returns no views of it.
+        """
 
     @abstractmethod
-    def _drift(self, data: pin.Data) -> TaskVector:
-        """Drift, after a pass at zero joint acceleration."""
+    def compute_jacobian(self, data: pin.Data) -> Jacobian:
+        """Hook: Jacobian G'(q), (m, n); Eq. (2). In `data` are placements and joint Jacobians."""
+
+    @abstractmethod
+    def compute_drift(self, data: pin.Data) -> TaskVector:
+        """Hook: drift Ġ'dq, (m,) [m/s², rad/s²]. In `data` are velocities and accelerations at ddq = 0, too."""
+
+    def frame_placement(self, data: pin.Data, frame: int) -> pin.SE3:
+        """Placement of a frame in the world, for hooks.
+
+        Args:
+            data: What the hook was given.
+            frame: Number of the frame, from `robot.frame_id(name)`.
+        """
+        return pin.updateFramePlacement(self._model, data, frame)
+
+    def frame_jacobian(self, data: pin.Data, frame: int) -> Float[np.ndarray, "6 n"]:
+        """Jacobian of a frame, (6, n): velocity of its origin, then angular velocity, in the axes of the world."""
+        return pin.getFrameJacobian(self._model, data, frame, WORLD).reshape(6, -1)
+
+    def frame_velocity(self, data: pin.Data, frame: int) -> pin.Motion:
+        """Velocity of a frame's origin and angular velocity in the axes of the world, for `compute_drift`."""
+        return pin.getFrameVelocity(self._model, data, frame, WORLD)
+
+    def frame_acceleration(self, data: pin.Data, frame: int) -> pin.Motion:
+        """Acceleration of a frame's origin and angular acceleration in the axes of the world, for `compute_drift`."""
+        return pin.getFrameClassicalAcceleration(self._model, data, frame, WORLD)
 
     # -- many states at once -----------------------------------------------------------------------------------------
 
@@ -257,20 +322,38 @@ class StackedTask(Task, kind="stacked"):
             labels = [label for t in tasks for label in t.labels]
         units = [unit for t in tasks for unit in t.units]
         super().__init__(tasks[0].robot, labels, units, sum(t.size for t in tasks))
+        # Its points begin with those of the first task.
+        self.frame, self.axes, self.seen_from = tasks[0].frame, tasks[0].axes, tasks[0].seen_from
+        self._by_hooks = all(task._by_hooks for task in tasks)
         self._slices = []
         point = step = 0
         for task in tasks:
             self._slices.append((task, slice(point, point + task.size), slice(step, step + task.m)))
             point, step = point + task.size, step + task.m
 
-    def _z(self, data: pin.Data) -> Point:
-        return np.concatenate([task._z(data) for task in self.tasks])
+    def compute_point(self, data: pin.Data) -> Point:
+        return np.concatenate([task.compute_point(data) for task in self.tasks])
 
-    def _J(self, data: pin.Data) -> Jacobian:
-        return np.concatenate([task._J(data) for task in self.tasks])
+    def compute_jacobian(self, data: pin.Data) -> Jacobian:
+        return np.concatenate([self._matrix(task.compute_jacobian(data)) for task in self.tasks])
 
-    def _drift(self, data: pin.Data) -> TaskVector:
-        return np.concatenate([task._drift(data) for task in self.tasks])
+    def compute_drift(self, data: pin.Data) -> TaskVector:
+        return np.concatenate([task.compute_drift(data) for task in self.tasks])
+
+    # A part with another way to its values than the hooks is asked itself.
+    def value(self, q: JointVector) -> Point:
+        return super()._value(q) if self._by_hooks else np.concatenate([task._value(q) for task in self.tasks])
+
+    def linearize(self, q: JointVector) -> tuple[Point, Jacobian]:
+        if self._by_hooks:
+            return super()._linearize(q)
+        z, J = zip(*(task._linearize(q) for task in self.tasks), strict=True)
+        return np.concatenate(z), np.concatenate(J)
+
+    def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
+        if self._by_hooks:
+            return super()._at(q, dq)
+        return TaskPoint(*map(np.concatenate, zip(*(task._at(q, dq) for task in self.tasks), strict=True)))
 
     def frame_parts(self) -> tuple[Part, ...] | None:
         parts = [task.frame_parts() for task in self.tasks]

@@ -104,7 +104,8 @@ class Manifold:
         self.task, self.robot, self.n, self.m = task, task.robot, task.robot.n, task.m
         parts = task.tasks if isinstance(task, StackedTask) else (task,)
         self._parts: list[FrameTask] | None = None
-        if all(isinstance(part, FrameTask) for part in parts):
+        # A part that goes its own way has no parts of frames.
+        if task.frame_parts() is not None and all(isinstance(part, FrameTask) for part in parts):
             self._parts = [part for part in parts if isinstance(part, FrameTask)]
         kernel = task.kinematics
         self._kernel = kernel if kernel.compiled else None

@@ -95,7 +95,7 @@ def _balls(task: Task) -> Iterator[Ball]:
         model = task.robot.model
         frame = model.frames[task.robot.frame_id(task.frame)]
         center, radius = _chain(task.robot, frame.parentJoint)
-        axes = ["xyz".index(axis) for axis in getattr(task, "axes", "xyz")]
+        axes = ["xyz".index(axis) for axis in task.axes]
         yield Ball(slice(0, len(axes)), center[axes], radius + float(np.linalg.norm(frame.placement.translation)))
     elif isinstance(task, ComTask):
         # The centre of mass is a mean of those of the bodies, which all lie in a ball about the origin.

@@ -30,6 +30,10 @@ class FrameTask(Task):
         rows: Which of (velocity of the origin, angular velocity) are dz.
     """
 
+    _needs_frames = False
+    #: The compiled ones below are the same as what the hooks give.
+    _by_hooks = True
+
     def __init__(
         self, robot: Robot, frame: str, labels: Sequence[str], units: Sequence[str], part: slice, rows: slice
     ) -> None:
@@ -37,27 +41,27 @@ class FrameTask(Task):
         self._id = robot.frame_id(frame)
         super().__init__(robot, labels, units, len(range(12)[part]))
 
-    def _z(self, data: pin.Data) -> Point:
+    def compute_point(self, data: pin.Data) -> Point:
         return pin.updateFramePlacement(self._model, data, self._id).homogeneous.ravel()[FLAT[self._part]]
 
-    def _J(self, data: pin.Data) -> Jacobian:
+    def compute_jacobian(self, data: pin.Data) -> Jacobian:
         return pin.getFrameJacobian(self._model, data, self._id, WORLD).reshape(6, -1)[self._rows]
 
-    def _drift(self, data: pin.Data) -> TaskVector:
+    def compute_drift(self, data: pin.Data) -> TaskVector:
         return pin.getFrameClassicalAcceleration(self._model, data, self._id, WORLD).vector[self._rows]
 
     # -- the same, in one kernel -------------------------------------------------------------------------------------
 
     @cached_property
     def kernel(self) -> Any:
-        """`value`, `linearize` and `at` in one object, compiled where there is a compiler."""
+        """`value`, `linearize` and `at` in one object; None where a subclass overrides a part of them."""
         return Frame(self._model, self._data, self._id, self._part, self._rows, TaskPoint)
 
     def value(self, q: JointVector) -> Point:
-        return self.kernel.value(q)
+        return super()._value(q) if self.kernel is None else self.kernel.value(q)
 
     def linearize(self, q: JointVector) -> tuple[Point, Jacobian]:
-        return self.kernel.linearize(q)
+        return super()._linearize(q) if self.kernel is None else self.kernel.linearize(q)
 
     def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
-        return self.kernel.at(q, dq)
+        return super()._at(q, dq) if self.kernel is None else self.kernel.at(q, dq)

@@ -64,6 +64,7 @@ class PoseTask(FrameTask, kind="pose"):
     """
 
     arguments = ("frame",)
+    axes = "xyz"
 
     def __init__(self, robot: Robot, frame: str) -> None:
         labels, units = ("x", "y", "z", "rx", "ry", "rz"), ["m"] * 3 + ["rad"] * 3
@@ -100,6 +101,7 @@ class HeadingTask(Task, kind="heading"):
     """
 
     arguments = ("frame",)
+    _needs_frames = False
 
     def __init__(self, robot: Robot, frame: str) -> None:
         self.frame = frame
@@ -109,14 +111,14 @@ class HeadingTask(Task, kind="heading"):
         if np.abs(tilting).max() > 1e-9:
             raise InputError(f"frame {frame!r} of {robot.name!r} also turns about x or y; use OrientationTask")
 
-    def _z(self, data: pin.Data) -> Point:
+    def compute_point(self, data: pin.Data) -> Point:
         R = pin.updateFramePlacement(self._model, data, self._id).rotation
         return np.array([math.atan2(R[1, 0], R[0, 0])])
 
-    def _J(self, data: pin.Data) -> Jacobian:
+    def compute_jacobian(self, data: pin.Data) -> Jacobian:
         return pin.getFrameJacobian(self._model, data, self._id, WORLD).reshape(6, -1)[5:]
 
-    def _drift(self, data: pin.Data) -> TaskVector:
+    def compute_drift(self, data: pin.Data) -> TaskVector:
         return pin.getFrameClassicalAcceleration(self._model, data, self._id, WORLD).angular[2:]
 
     def frame_parts(self) -> tuple[Part, ...]:

@@ -45,23 +45,25 @@ class RelativePositionTask(Task, kind="relative_position"):
     """
 
     arguments = ("frame", "reference", "axes")
+    _needs_frames = False
 
     def __init__(self, robot: Robot, frame: str, reference: str, axes: str = "xyz") -> None:
         self.frame, self.reference, self.axes = frame, reference, axes
         self._rows = _rows(axes)
+        self.seen_from = reference
         self._id, self._reference_id = robot.frame_id(frame), robot.frame_id(reference)
         super().__init__(robot, list(axes), ["m"] * len(axes))
 
-    def _z(self, data: pin.Data) -> Point:
+    def compute_point(self, data: pin.Data) -> Point:
         frame = pin.updateFramePlacement(self._model, data, self._id)
         reference = pin.updateFramePlacement(self._model, data, self._reference_id)
         return reference.actInv(frame).translation[self._rows].copy()
 
-    def _J(self, data: pin.Data) -> Jacobian:
+    def compute_jacobian(self, data: pin.Data) -> Jacobian:
         R, rho, J, J_ref = self._relative(data)
         return (R.T @ (J[:3] - J_ref[:3] + pin.skew(rho) @ J_ref[3:]))[self._rows]
 
-    def _drift(self, data: pin.Data) -> TaskVector:
+    def compute_drift(self, data: pin.Data) -> TaskVector:
         R, rho, _, _ = self._relative(data)
         velocity, acceleration = (
             [read(self._model, data, i, WORLD) for i in (self._id, self._reference_id)]
@@ -100,6 +102,7 @@ class ComTask(Task, kind="com"):
     """
 
     arguments = ("axes",)
+    _needs_frames = False
 
     def __init__(self, robot: Robot, axes: str = "xyz") -> None:
         if not sum(body.mass for body in list(robot.model.inertias)[1:]) > 0.0:
@@ -111,15 +114,15 @@ class ComTask(Task, kind="com"):
         self._rows = _rows(axes)
         super().__init__(robot, list(axes), ["m"] * len(axes))
 
-    def _z(self, data: pin.Data) -> Point:
+    def compute_point(self, data: pin.Data) -> Point:
         # The level is explicit: Pinocchio's shortest form would compute the positions again.
         pin.centerOfMass(self._model, data, pin.KinematicLevel.POSITION, False)
         return data.com[0][self._rows].copy()
 
-    def _J(self, data: pin.Data) -> Jacobian:
+    def compute_jacobian(self, data: pin.Data) -> Jacobian:
         return pin.jacobianCenterOfMass(self._model, data, False).reshape(3, -1)[self._rows]
 
-    def _drift(self, data: pin.Data) -> TaskVector:
+    def compute_drift(self, data: pin.Data) -> TaskVector:
         pin.centerOfMass(self._model, data, pin.KinematicLevel.ACCELERATION, False)
         return data.acom[0][self._rows].copy()
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from eos_pin._arrays import JointVector, TaskVector, by_identity, frozen_copy, number
+from eos_pin._kernels.overrides import stands_for
 from eos_pin.errors import InputError
 from eos_pin.tasks._flat import Point, flat_point
 
@@ -56,12 +57,22 @@ class Trajectory(ABC):
         duration: Time after which it rests [s]; infinite if it never does.
         begin: Time until which it rests [s].
         notes: What was chosen or changed when it was made from a file, in sentences for people.
+        constant: The point of a trajectory that never moves; None for any other.
+        waves: The same targets as sums of sines and cosines, see `Waves`; None where they are none.
     """
 
     period: float = math.inf
     duration: float = math.inf
     begin: float = 0.0
     notes: tuple[str, ...] = ()
+    constant: Point | None = None
+    waves: Any = None
+
+    def __init_subclass__(cls, **rest: Any) -> None:
+        super().__init_subclass__(**rest)
+        # A subclass of `Hold` or `Harmonic` with a call of its own may move otherwise.
+        stands_for(cls, "constant", "__call__")
+        stands_for(cls, "waves", "__call__")
 
     @abstractmethod
     def __call__(self, t: float) -> Target:
@@ -99,3 +110,8 @@ class Hold(Trajectory):
 
     def __call__(self, t: float) -> Target:
         return self._target  # type: ignore[attr-defined]
+
+    @property
+    def constant(self) -> Point:  # type: ignore[override]
+        """The point."""
+        return self._target.z  # type: ignore[attr-defined]

@@ -34,7 +34,7 @@ def check_reference(task: Task, reference: Trajectory) -> None:
     except InputError as error:
         raise InputError(f"the reference does not fit the task: {error}") from error
     if dz.shape != (task.m,):
-        advice = f". To hold a point, use task.hold(q) or Hold(z, m={task.m})" if isinstance(reference, Hold) else ""
+        advice = f". To hold a point, use task.hold(q) or Hold(z, m={task.m})" if reference.constant is not None else ""
         raise InputError(
             f"the reference does not fit the task: it has {dz.size} velocity components, {task!r} has {task.m}{advice}"
         )

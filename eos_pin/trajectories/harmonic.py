@@ -58,9 +58,13 @@ class Harmonic(Trajectory):
             raise InputError(f"sines and cosines must be as many, got {self.sines.shape} and {self.cosines.shape}")
         object.__setattr__(self, "center", frozen_copy(center))
 
-    @cached_property
+    @property
     def waves(self) -> Waves:
         """The sum in the form in which it is computed."""
+        return self._sum
+
+    @cached_property
+    def _sum(self) -> Waves:
         frequencies = [math.tau * (k + 1) / self.period for k in range(len(self.sines))]
         z, dz, ddz = [], [], []
         for omega, a, b in zip(frequencies, self.sines, self.cosines, strict=True):
@@ -73,7 +77,7 @@ class Harmonic(Trajectory):
         )
 
     def __call__(self, t: float) -> Target:
-        return self.waves.at(t)
+        return self._sum.at(t)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from eos_pin.errors import InputError
-from eos_pin.trajectories.base import Hold, Target, Trajectory
-from eos_pin.trajectories.harmonic import Harmonic, Waves
+from eos_pin.trajectories.base import Target, Trajectory
+from eos_pin.trajectories.harmonic import Waves
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,19 +36,18 @@ class StackedTrajectory(Trajectory):
         object.__setattr__(self, "begin", min(part.begin for part in self.parts))
 
     def __call__(self, t: float) -> Target:
-        if self._waves is not None:
-            return self._waves.at(t)
+        if self._joined is not None:
+            return self._joined.at(t)
         z, dz, ddz = zip(*(part(t) for part in self.parts), strict=True)
         return Target(np.concatenate(z), np.concatenate(dz), np.concatenate(ddz))
 
     @cached_property
-    def _waves(self) -> Waves | None:
+    def _joined(self) -> Waves | None:
         """All parts in one, where one of them moves and the others are at rest; the everyday case."""
-        moving = [part for part in self.parts if type(part) is not Hold]
-        # A curve of one's own kind is called as it is.
-        if len(moving) != 1 or type(moving[0]) is not Harmonic:
+        moving = [part for part in self.parts if part.constant is None]
+        if len(moving) != 1 or moving[0].waves is None:
             return None
-        own = moving[0].waves
+        own: Waves = moving[0].waves
         one = np.eye(len(own.blocks[0]))[:, -1]
         parts = [own.blocks if p is moving[0] else [np.outer(one, row) for row in p(0.0)] for p in self.parts]
         return Waves(own.phase, own.frequencies, *map(np.hstack, zip(*parts, strict=True)))

@@ -172,7 +172,7 @@ def test_track_shared_by_two_tasks_goes_on_for_both(panda: Robot, task: Position
         ("kp", [1.0, 2.0], "task gain kp"),
         ("kd", "soft", "task gain kd"),
         ("reference", Hold([1.0, 2.0]), "does not fit the task"),
-        ("reference", Hold([1.0, 2.0, 3.0], m=6), "velocities"),
+        ("reference", Hold([1.0, 2.0, 3.0], m=6), "velocity components"),
         ("self_motion", Track([1.0]), "v_d must be 4"),
         ("self_motion", Posture([1.0]), "the posture has 1 joints"),
         ("task", None, "loop.controller = "),

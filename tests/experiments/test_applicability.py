@@ -133,14 +133,14 @@ class Height(Task, kind="height_of_a_frame"):
         self._frame = robot.frame_id("panda_hand_tcp")
         super().__init__(robot, ["z"], ["m"])
 
-    def _z(self, data):
+    def compute_point(self, data):
         return np.array(data.oMf[self._frame].translation[2:])
 
-    def _J(self, data):
-        return pin.getFrameJacobian(self._model, data, self._frame, pin.LOCAL_WORLD_ALIGNED)[2:3]
+    def compute_jacobian(self, data):
+        return self.frame_jacobian(data, self._frame)[2:3]
 
-    def _drift(self, data):
-        return pin.getFrameClassicalAcceleration(self._model, data, self._frame, pin.LOCAL_WORLD_ALIGNED).linear[2:]
+    def compute_drift(self, data):
+        return self.frame_acceleration(data, self._frame).linear[2:]
 
 
 @pytest.mark.parametrize("stacked", [False, True])

@@ -177,26 +177,24 @@ def test_links_are_where_pinocchio_has_them(panda):
 
 
 class Shifted(PositionTask):
-    """A task whose author forgot its frames."""
+    """A task whose point is not that of its frame."""
 
-    def value(self, q):
-        return super().value(q) + 0.1
-
-    def linearize(self, q):
-        z, J = super().linearize(q)
-        return z + 0.1, J
+    def compute_point(self, data):
+        return super().compute_point(data) + 0.1
 
 
-class Honest(Shifted):
+class Wrong(Shifted):
+    """The same, by an author who states its frames nevertheless."""
+
     def frame_parts(self):
-        return None
+        return PositionTask.frame_parts(self)
 
 
 def test_kinematics_that_differ_from_the_task_are_an_error(panda):
     if kernels:
         with pytest.raises(EosError, match="frame_parts"):
-            _ = Shifted(panda, "panda_hand_tcp").kinematics
-    task = Honest(panda, "panda_hand_tcp")
+            _ = Wrong(panda, "panda_hand_tcp").kinematics
+    task = Shifted(panda, "panda_hand_tcp")
     assert not task.kinematics.compiled
     q = states(panda, 1)
     np.testing.assert_array_equal(task.kinematics.value(q)[0], task.value(q[0]))
