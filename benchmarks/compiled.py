@@ -88,18 +88,18 @@ def twins() -> tuple[Calls, Calls]:
         ddq = state.drive(point.J, F, dq)[0]
 
         frame = plain_form(task.kernel)
-        plain_law, plain_map, plain_limits = map(plain_form, (state.law, state.drive._kernel, limited._kernel))
+        plain_law, plain_map, plain_limits = map(plain_form, (state.law, state.drive._kernel, limited._within))
         pairs: dict[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
             "Frame.at": (partial(task.at, REST, dq), partial(frame.at, REST, dq)),
             "Frame.linearize": (partial(task.linearize, REST), partial(frame.linearize, REST)),
             "TrackingLaw": (partial(state.law, *law), partial(plain_law, *law)),
             "AccelerationMap": (partial(state.drive, point.J, F, dq), partial(plain_map, point.J, F, dq)),
             "Limits, none active": (
-                partial(limited._kernel, REST, dq, ddq, point.J),
+                partial(limited._within, REST, dq, ddq, point.J),
                 partial(plain_limits, REST, dq, ddq, point.J),
             ),
             "Limits, one active": (
-                partial(limited._kernel, REST, dq, 40.0 * ddq, point.J),
+                partial(limited._within, REST, dq, 40.0 * ddq, point.J),
                 partial(plain_limits, REST, dq, 40.0 * ddq, point.J),
             ),
             "on_chart_inverse": _pair("on_chart_inverse", point.J, chart.U),

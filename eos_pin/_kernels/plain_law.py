@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
-from numpy import multiply, subtract
+from numpy import subtract
 from pinocchio import (
     LOCAL_WORLD_ALIGNED as WORLD,
 )
@@ -50,9 +50,13 @@ class Frame:
         # Both stay where they are, and change with every pass.
         placement = workspace.oMf[index]
         self._translation, self._rotation = placement.translation, placement.rotation
-        first, stop, _ = part.indices(12)
-        self._part = part
-        self._only = "position" if stop <= 3 else "rotation" if first == 3 and stop == 12 else "pose"
+        self._flat: Vector | None = None
+        if part.indices(12)[1] <= 3:
+            self._place = self._translation[part]
+        else:
+            self._flat = np.empty(12)
+            self._flat_position, self._flat_rotation = self._flat[:3], self._flat[3:].reshape(3, 3)
+            self._place = self._flat[part]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), self._made_from
@@ -69,29 +73,30 @@ class Frame:
         return self._z(), J if J.ndim == 2 else J[:, None]
 
     def look(self, q: JointVector, dq: JointVector) -> tuple[Vector, Jacobian, TaskVector]:
-        """Task point, Jacobian and drift."""
+        """Task point, in a workspace that the next call fills anew, Jacobian and drift."""
         model, data, index, rows = self._model, self._data, self._index, self._rows
         forwardKinematics(model, data, q, dq, self._rest)
         computeJointJacobians(model, data)
         J = getFrameJacobian(model, data, index, WORLD)[rows]
         # With one joint Pinocchio's bindings make a vector of what should be a column.
         J = J if J.ndim == 2 else J[:, None]
-        return self._z(), J, getFrameClassicalAcceleration(model, data, index, WORLD).vector[rows]
+        updateFramePlacement(model, data, index)
+        drift = getFrameClassicalAcceleration(model, data, index, WORLD).vector[rows]
+        if self._flat is None:
+            return self._place, J, drift
+        self._flat_position[:], self._flat_rotation[:] = self._translation, self._rotation
+        return self._place, J, drift
 
     def at(self, q: JointVector, dq: JointVector) -> Any:
         """Task point, Jacobian, velocity and drift."""
         z, J, drift = self.look(q, dq)
-        return tuple.__new__(self._made_from[5], (z, J, J.dot(dq), drift))
+        return tuple.__new__(self._made_from[5], (z.copy(), J, J.dot(dq), drift))
 
     def _z(self) -> Vector:
         updateFramePlacement(self._model, self._data, self._index)
-        if self._only == "position":
-            return self._translation[self._part].copy()
-        if self._only == "rotation":
-            return self._rotation.ravel()
-        z = np.empty(12)
-        z[:3], z[3:] = self._translation, self._rotation.ravel()
-        return z[self._part]
+        if self._flat is not None:
+            self._flat_position[:], self._flat_rotation[:] = self._translation, self._rotation
+        return self._place.copy()
 
 
 class AccelerationMap:
@@ -140,7 +145,7 @@ class AccelerationMap:
 
     def _solve(self, F: JointVector, dq: JointVector) -> tuple[int, JointVector, float]:
         """The same for the Jacobian that stands in A."""
-        square = dq.dot(dq)
+        square = float(dq.dot(dq))
         if square > self._runaway:
             F, speed = F.copy(), math.sqrt(square)
             F[self.m :] -= self._braking * (speed - math.sqrt(self._runaway)) * self.Vt.dot(dq)
@@ -148,7 +153,7 @@ class AccelerationMap:
         # H = [U B, D], column by column.
         entries = H.ravel("K")
         UB, D = entries[: self._cut], entries[self._cut :]
-        size = UB.dot(UB)
+        size = float(UB.dot(UB))
         if not square <= self._fast:
             size *= square / self._fast
         # The least singular value of G' is at least 1 / |U B|, so no direction fades unnoticed; NaN ends here too.
@@ -156,7 +161,7 @@ class AccelerationMap:
             return UNDECIDED, self._nothing, 0.0
         # The singular values of D are the inverse cosines of the angles that `Chart.margin` speaks of; all are at least
         # 1, so the largest is at most what their squares leave beyond the others.
-        beyond = D.dot(D) - self.r
+        beyond = float(D.dot(D)) - self.r
         return DONE, H.dot(F), 1.0 / math.sqrt(1.0 + beyond) if beyond > 0.0 else 1.0
 
 
@@ -197,11 +202,12 @@ class TrackingLaw(AccelerationMap):
     ) -> None:
         super().__init__(Vt, Qt, most, fast, runaway, braking)
         self._made_from += kp, kd, kp_v, kd_v, v, at, minus
-        self._kp, self._kd, self._v = np.concatenate((kp, kp_v)), np.concatenate((kd, kd_v)), np.array(v, dtype=float)
+        # The error of v has the opposite sign.
+        self._kp, self._kd = np.concatenate((kp, np.negative(kp_v))), np.concatenate((kd, kd_v))
+        self._v = np.array(v, dtype=float)
         self._at, self._look, self._minus = at, at.look if isinstance(at, Frame) else None, minus
         # Workspaces, and their parts for the task and the self-motion.
-        self._error, self._rate, self._F = np.zeros((3, self.n))
-        self._task_error, self._v_error = self._error[: self.m], self._error[self.m :]
+        self._rate, self._F = np.zeros((2, self.n))
         self._task_rate, self._task_F, self._v_F = self._rate[: self.m], self._F[: self.m], self._F[self.m :]
 
     def __call__(  # type: ignore[override]
@@ -228,16 +234,19 @@ class TrackingLaw(AccelerationMap):
         else:
             z, J, drift = self._look(q, dq)
         self._G[:] = J
+        rate, F, part = self._rate, self._F, self._task_F
         if self._minus is None:
-            subtract(z_d, z, self._task_error)
+            subtract(z_d, z, part)
         else:
-            self._task_error[:] = self._minus(z_d, z)
-        subtract(self._v, self.Vt.dot(q), self._v_error)
-        rate, F, part = self._rate, self._F, self._task_rate
+            part[:] = self._minus(z_d, z)
+        part = self._v_F
+        self.Vt.dot(q, part)
+        part -= self._v
+        F *= self._kp
+        part = self._task_rate
         self._A.dot(dq, rate)
         part -= dz_d
         rate *= self._kd
-        multiply(self._kp, self._error, F)
         F -= rate
         part = self._task_F
         part += ddz_d

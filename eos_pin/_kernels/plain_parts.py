@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy import subtract
 
 from eos_pin._arrays import Array, Jacobian, JointVector, Vector, VectorLike, frozen_copy
 
@@ -81,18 +82,23 @@ class Limits:
             model,
             smallest,
         )
-        self._viability, self._per_torque = Viability(rate, ends, fastest, braking, acceleration), 1.0 / torque
+        self._viability = Viability(rate, ends, fastest, braking, acceleration)
         self._middle, self._per_half = self._inner()
+        self._most = 1.0 if self._per_half.any() else 0.0
+        # A workspace, and its parts.
+        self._box = np.empty(4 * torque.size)
+        self._box_q, self._box_dq, self._box_ddq, self._box_tau = self._box.reshape(4, -1)
         self._unchanged = frozen_copy(np.zeros(torque.size))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), self._made_from
 
-    def _inner(self) -> tuple[Vector, Vector]:
-        """Middle of a box of (q, dq, ddq) that is surely far from all limits, and one divided by half its size.
+    def _inner(self) -> tuple[JointVector, Array]:
+        """Middle of the q in a box of (q, dq, ddq, tau) surely far from all limits, and one divided by half its size.
 
         The bounds of the acceleration fall towards the limits, and with the speed towards them; so those in the corner
-        of the box hold in all of it.
+        of the box hold in all of it. Of n numbers whose fourth powers sum to less than 1/n the squares sum to less than
+        1, by the inequality of Cauchy and Schwarz: so it is with the torques as parts of their limits.
         """
         n, viability = self._torque.size, self._viability
         upper, lower = viability.ends[:n], -viability.ends[n:]
@@ -106,10 +112,9 @@ class Limits:
             return np.minimum(np.minimum(above, below) - self._clear, 1e100)
 
         speed = SPEEDY * np.maximum(least(rest), 0.0) / viability.rate
-        room = np.concatenate((half, speed, least(speed)))
-        with np.errstate(divide="ignore"):
-            per_half = np.where(room > 0.0, 1.0 / room, np.inf)
-        return np.concatenate((middle, rest, rest)), per_half
+        room = np.concatenate((half, speed, least(speed), self._torque / n**0.25))
+        # Without any room there is no box, and nothing is in it.
+        return middle, 1.0 / room if (room > 0.0).all() else np.zeros_like(room)
 
     def __call__(
         self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
@@ -124,20 +129,18 @@ class Limits:
         """
         model, n, torque = self._model, q.size, self._torque
         tau, change = model._inverse_dynamics(q, dq, ddq), self._unchanged
-        part = tau * self._per_torque
-        weak = part.dot(part) < 1.0
-        if weak:
-            # Numbers whose eighth powers sum to less than 1 are all less than 1.
-            inner = np.concatenate((q, dq, ddq))
-            inner -= self._middle
-            inner *= self._per_half
-            inner *= inner
-            inner *= inner
-            if inner.dot(inner) < 1.0:
-                return tau, change
+        # Numbers whose fourth powers sum to less than 1 are all less than 1.
+        inner = self._box
+        subtract(q, self._middle, self._box_q)
+        self._box_dq[:], self._box_ddq[:], self._box_tau[:] = dq, ddq, tau
+        inner *= self._per_half
+        inner *= inner
+        if inner.dot(inner) < self._most:
+            return tau, change
+        part = tau / torque
         most = self._viability(q, dq)
         # Far from all limits nothing needs to be predicted.
-        if weak and (most - np.concatenate((ddq, -ddq))).min() > self._clear:
+        if part.dot(part) < 1.0 and (most - np.concatenate((ddq, -ddq))).min() > self._clear:
             return tau, change
         most, least = most[:n], np.minimum(-most[n:], most[:n])
         lower, upper = np.concatenate((least, -torque)), np.concatenate((most, torque))

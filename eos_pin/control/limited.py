@@ -275,7 +275,7 @@ class LimitedEosController(EosController):
             self._viability = _viability(self.limits, self.control_period)
         if name in ("limits", "control_period", "gravity"):
             # It holds copies.
-            self.__dict__.pop("_kernel", None)
+            self.__dict__.pop("_within", None)
 
     def overload(self, q: JointVector | None = None) -> tuple[str, ...]:
         """Joints that cannot hold themselves against gravity, see `gravity_overload`; to be read before the start.
@@ -295,15 +295,12 @@ class LimitedEosController(EosController):
         return super().describe() | {"control_period": self.control_period, "limits": kept}
 
     @cached_property
-    def _kernel(self) -> Callable[..., tuple[JointVector, JointVector]]:
+    def _within(
+        self,
+    ) -> Callable[[JointVector, JointVector, JointVector, Jacobian], tuple[JointVector, JointVector]]:
         """Torque within all limits, and the change that they make in the joint acceleration."""
         kept = self._viability
         return Limits(
             self.control_period, kept.rate, kept.ends, kept.fastest, kept.braking, kept.acceleration,
             self.limits.torque, CLEAR, self._model, self._smallest,
         )  # fmt: skip
-
-    def _within(
-        self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
-    ) -> tuple[JointVector, JointVector]:
-        return self._kernel(q, dq, ddq, J)

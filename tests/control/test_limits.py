@@ -222,7 +222,7 @@ def test_the_change_is_the_smallest(seed, size):
 
 def plain_limits(controller):
     """The plain form of the kernel that keeps a controller's limits."""
-    return REFERENCES["Limits"](*controller._kernel.__reduce__()[1])
+    return REFERENCES["Limits"](*controller._within.__reduce__()[1])
 
 
 @pytest.mark.skipif(kernels is None, reason="installed without a C compiler")
@@ -323,7 +323,7 @@ def weak_run(period: float, compiled: bool) -> Result:
     task = PositionTask(robot, "tip", "xz")
     controller = LimitedEosController(task, Hold(task.value(WEAK)), control_period=period)
     if not compiled:
-        controller.__dict__["_kernel"] = plain_limits(controller)
+        controller.__dict__["_within"] = plain_limits(controller)
     return simulate_sampled(robot, controller, WEAK, duration=1.5, control_period=period, record_rate=1.0 / period)
 
 

@@ -327,7 +327,7 @@ def test_limits_agree(panda, period):
     controller = LimitedEosController(
         task, Hold(task.value(0.5 * (panda.lower + panda.upper))), limits=limits, control_period=period
     )
-    compiled, plain = controller._kernel, plain_form(controller._kernel)
+    compiled, plain = controller._within, plain_form(controller._within)
     for _ in range(STATES):
         size = random.choice([1.0, 30.0, 1000.0])
         # A beta distribution that favours the ends of the range.
@@ -345,12 +345,13 @@ def test_limits_far_from_all_of_them_change_nothing(panda):
     """The box in which the plain form looks no further lies where the bounds leave room."""
     task = PositionTask(panda, tip(panda))
     controller = LimitedEosController(task, Hold(task.value(0.5 * (panda.lower + panda.upper))))
-    plain, random = plain_form(controller._kernel), np.random.default_rng(13)
+    plain, random = plain_form(controller._within), np.random.default_rng(13)
     for _ in range(STATES):
         # On the surface of the box.
-        x = random.uniform(-1.0, 1.0, 21)
-        x[random.integers(21)] = random.choice([-1.0, 1.0])
-        q, dq, ddq = (plain._middle + x / plain._per_half).reshape(3, 7)
+        x = random.uniform(-1.0, 1.0, 28)
+        x[random.integers(28)] = random.choice([-1.0, 1.0])
+        q, dq, ddq, _ = (x / plain._per_half).reshape(4, 7)
+        q = plain._middle + q
         least, most = controller.limits.accelerations(q, dq, controller.control_period)
         assert (ddq - least >= 20.0 - 1e-9).all()
         assert (most - ddq >= 20.0 - 1e-9).all()
