@@ -90,8 +90,8 @@ def twins() -> tuple[Calls, Calls]:
         frame = plain_form(task.kernel)
         plain_law, plain_map, plain_limits = map(plain_form, (state.law, state.drive._kernel, limited._within))
         pairs: dict[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
-            "Frame.at": (partial(task.at, REST, dq), partial(frame.at, REST, dq)),
-            "Frame.linearize": (partial(task.linearize, REST), partial(frame.linearize, REST)),
+            "Frame.at": (partial(task.kernel.at, REST, dq), partial(frame.at, REST, dq)),
+            "Frame.linearize": (partial(task.kernel.linearize, REST), partial(frame.linearize, REST)),
             "TrackingLaw": (partial(state.law, *law), partial(plain_law, *law)),
             "AccelerationMap": (partial(state.drive, point.J, F, dq), partial(plain_map, point.J, F, dq)),
             "Limits, none active": (
