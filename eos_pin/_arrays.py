@@ -66,7 +66,7 @@ def nearest(grid: Vector, values: Float[np.ndarray, " j"]) -> Array:
 
 
 def frozen_copy(array: Array, kind: type = float) -> Array:
-    """Read-only copy of `array`, of floats unless said otherwise; later writes to the original do not reach it."""
+    """Read-only copy of `array`, by default of floats; later writes to the original do not reach it."""
     copy: Array = np.array(array, dtype=kind)
     copy.flags.writeable = False
     return copy
@@ -149,7 +149,7 @@ class Checked:
     """
 
     def __init_subclass__(cls, **rest: Any) -> None:
-        """Check what the class overrides, and keep every method without its check."""
+        """Check overridden methods, and keep each of them without its check as well."""
         super().__init_subclass__(**rest)
         for name, method in list(vars(cls).items()):
             if not isinstance(method, types.FunctionType):

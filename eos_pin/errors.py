@@ -105,7 +105,7 @@ class SingularError(ChartError):
 
 
 class PlanError(EosError):
-    """No motion along a path was found, or a plan does not fit what it is used for.
+    """No motion along a path was found, or a plan does not fit its use.
 
     Attributes:
         waypoint: Number of the last way point that was reached; None where that has no meaning.
@@ -133,7 +133,7 @@ class OutputError(EosError):
 
 
 class ViewerError(EosError):
-    """The viewer cannot show what was asked."""
+    """The viewer cannot show the scene."""
 
 
 class OldNameError(InputError, AttributeError):
@@ -189,7 +189,7 @@ def renamed(**names: str) -> Callable[[F], F]:
 
 
 def suggest(name: str, available: Sequence[str], most: int = 40) -> str:
-    """Sentence that names close matches of `name`, or what is available if nothing is close."""
+    """Sentence that names close matches of `name`, or all available names if nothing is close."""
     if not available:
         return "There are none. "
     close = difflib.get_close_matches(name, available, n=6, cutoff=0.5)

@@ -34,7 +34,7 @@ class FramedTask(TaskFunctions, Protocol):
     robot: Any
 
     def frame_parts(self) -> tuple[Part, ...] | None:
-        """Frames and what of their poses is the task; None where it is something else."""
+        """Frames and the parts of their poses that are the task; None where it is something else."""
 
 
 class Found(NamedTuple):
@@ -297,7 +297,7 @@ class Kinematics:
     # -- borders -----------------------------------------------------------------------------------------------------
 
     def _confirm(self, Q: Array, Z: Array, tol: float) -> None:
-        """Let the task compute what the kernel found once more."""
+        """Compute the kernel's solutions once more with the task itself."""
         self.confirm(float(self.residual(Q, Z).max()), tol)
 
     def confirm(self, worst: float, tol: float) -> None:

@@ -120,7 +120,7 @@ def newton_step(
 
 @cache
 def _identity(m: int) -> Float[Array, "m m"]:
-    """Right side of the solve for B, in the order LAPACK wants."""
+    """Right side of the solve for B, in LAPACK's order."""
     return frozen_copy(np.eye(m)).T
 
 

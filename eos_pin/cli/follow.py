@@ -1,4 +1,4 @@
-"""What `eos-pin track` does with plans: it loads or makes them, joins them, and tells where joints will not repeat."""
+"""Plans in `eos-pin track`: loaded or made, joined, and a note where the joints will not repeat."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def plan_note(result: Result, motion: Planned) -> str:
 
 
 def repeat_note(robot: Robot, result: Result, self_motion: str) -> str:
-    """Warning where the joints of a run do not repeat or left their limits, and what to do; empty otherwise."""
+    """Warning that the joints of a run do not repeat or left their limits, with a remedy; empty otherwise."""
     summary = result.summary()
     left = bool(len(result.q)) and bool(((result.q < robot.lower) | (result.q > robot.upper)).any())
     causes = []

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Findings:
-    """What a robot can do.
+    """Abilities of a robot.
 
     Attributes:
         q: Joints to start from.
@@ -135,7 +135,7 @@ def _find_out(robot: Robot, options: TaskOptions) -> Findings:
 
 
 def _advice(robot: RobotOptions, task: TaskOptions, found: Findings) -> list[str]:
-    """What to try, in a line; none where nothing can be done as asked."""
+    """Advice in a line; none where nothing can be done as asked."""
     words = f"{robot.robot}{f' --frame {robot.frame}' if robot.frame else ''}"
     words += f" --task {task.task}" if task.task != TaskOptions.task else ""
     if found.task is None:

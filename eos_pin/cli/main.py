@@ -27,7 +27,7 @@ from eos_pin.cli.track import compare, track
 
 
 def run(command: Callable[..., int], argv: Sequence[str] | None = None) -> int:
-    """Parse arguments, run a command, and turn what went wrong into one paragraph and an exit code.
+    """Parse arguments, run a command, and turn errors into one paragraph and an exit code.
 
     Returns:
         0, 1 for a run that failed, 2 for bad input, 130 for an interrupt.

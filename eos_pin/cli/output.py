@@ -1,4 +1,4 @@
-"""What a run leaves behind: a table on the terminal, files, a replay in the browser."""
+"""Output of a run: a table on the terminal, files, a replay in the browser."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ stderr = Terminal(stderr=True, highlight=False, emoji=False)
 
 @dataclass(frozen=True)
 class Output:
-    """What to keep, and what to see.
+    """Files to keep, and the live view.
 
     Attributes:
         out: Folder for all files that have no path of their own.
@@ -132,7 +132,7 @@ def progress(
 
 
 def scene_of(result: Result, robot: Robot, obstacles: Sequence[Obstacle] = (), *, title: str = "") -> Scene:
-    """What there is to see of a run: the robot, its reference path, and the trace of the frame that follows it."""
+    """Scene of a run: the robot, its reference path, and the trace of the frame that follows it."""
     from eos_pin.viewer.scene import Scene
 
     frame, axes, kind = result.frame, result.axes, (result.info.get("task") or {}).get("kind", "motion")
@@ -209,20 +209,20 @@ def show(scene: Scene, result: Result) -> None:
 
 
 def write_json(path: Path, figures: Mapping[str, Any]) -> Path:
-    """Write figures as JSON, where what is not a number is null."""
+    """Write measures as JSON; not-a-number and infinity become null."""
     text = json.dumps(_plain(figures), indent=2, allow_nan=False) + "\n"
     write_atomically(path, lambda file: file.write(text.encode()))
     return path
 
 
 def print_files(files: Sequence[Path]) -> None:
-    """Say on the terminal which files were written."""
+    """Print the names of the files written."""
     if files:
         console.print("Wrote " + ", ".join(str(file) for file in files), soft_wrap=True)
 
 
 def say_notes(made: Robot | Trajectory) -> None:
-    """Say on the terminal, beside the results, what loading a robot or a path chose, changed or could not find."""
+    """Print the notes of a robot and a path on the error stream: choices, changes, missing files."""
     for note in made.notes:
         stderr.print(f"Note: {note}", markup=False, soft_wrap=True)
 
@@ -250,7 +250,7 @@ def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> T
 
 
 def run_table(summary: Mapping[str, Any]) -> Table:
-    """Table of what happened in one run."""
+    """Table of one run."""
     title = f"{summary['robot']}: {summary['frame'] or summary['task'].get('kind', '')}"
     table = Table(title=escape(title), show_header=False)
     for _ in range(2):

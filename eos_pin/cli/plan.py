@@ -66,7 +66,7 @@ class PlanPath:
     closed: bool = False
 
     def make(self, task: Task, q: JointVector) -> Trajectory:
-        """The path, through the task point at q unless a file or a centre says otherwise."""
+        """The path: from a file, about a centre, or through the task point at q."""
         from eos_pin.experiments.defaults import fitting_path
         from eos_pin.trajectories.through import about, read_path
 
@@ -84,7 +84,7 @@ class PlanPath:
 
 @dataclass(frozen=True)
 class Obstructed:
-    """What is in the way, and what is kept.
+    """Obstacles and files to keep.
 
     Attributes:
         scene: YAML or JSON file with lists of solids at rest: boxes (centre, size, rotation w x y z), spheres (centre,
@@ -153,7 +153,7 @@ def plan(
         robot: Which robot.
         task: What the robot must do.
         path: Where the task should go.
-        within: What is in the way, and what is kept.
+        within: Obstacles and files to keep.
         output: What to keep.
         save: File for the plan (.npz), which `eos-pin track --plan` follows.
 

@@ -51,7 +51,7 @@ Words: TypeAlias = Annotated[tuple[str, ...], _commas(str, "STR")]
 
 @dataclass(frozen=True)
 class SweepAxes:
-    """What differs from run to run: each takes one value or several, with commas between.
+    """Settings that differ from run to run: each takes one value or several, with commas between.
 
     Attributes:
         task: What counts: position, pose, orientation, heading or com.
@@ -94,7 +94,7 @@ class SweepAxes:
 
 @dataclass(frozen=True)
 class SweepFixed:
-    """What is the same in all runs.
+    """Settings that are the same in all runs.
 
     Attributes:
         frame: Frame that does the task; by default the tip. Joints that are not between base and frame are locked.
@@ -117,7 +117,7 @@ class SweepFixed:
 
 @dataclass(frozen=True)
 class SweepOutput:
-    """What to keep.
+    """Files to keep.
 
     Attributes:
         out: Folder of all files. Finished runs are in its folder `finished`, and are not computed again.
@@ -147,8 +147,8 @@ def sweep(
     Args:
         robot: Names or paths of URDF files.
         swept: What differs from run to run.
-        same: What is the same in all runs.
-        kept: What to keep.
+        same: Settings that are the same in all runs.
+        kept: Files to keep.
         seeds: Runs of each combination, with seeds 0, 1, …
         jobs: Runs at the same time; by default one for each core.
 
@@ -210,7 +210,7 @@ def _watched(planned: list[Trial], folder: Path, jobs: int) -> list[Row]:
 
 
 def _check(axes: dict[str, Sequence[Any]], same: Row) -> None:
-    """Refuse bad input, and tell the notes, before anything runs: each value is tried with the first of all others."""
+    """Refuse bad input and print the notes before anything runs: each value is tried with the first of all others."""
     from eos_pin.experiments.trial import Trial
 
     if not axes["robot"]:

@@ -36,13 +36,13 @@ OVERSPEED, OVERSPEED_DAMPING = 16.0, 10.0
 
 
 def speed_ratio_squared(dq: JointVector) -> float:
-    """Square of how many times faster than FAST the joints move; at least 1."""
+    """Squared speed ratio max(1, |dq| / FAST_SPEED)²."""
     squared = dq.dot(dq)
     return 1.0 if squared < FAST_SPEED**2 else squared / FAST_SPEED**2
 
 
 def damped_system(J: Jacobian, b: TaskVector, dq: JointVector) -> tuple[Jacobian, TaskVector]:
-    """Y and c such that Y x = c says J x = b as far as it can without trouble, for accelerations x of joints that move.
+    """Regularize J x = b near a rank-deficient J, for accelerations x of joints that move; returns (Y, c) with Y x = c.
 
     The rows of Y are orthonormal, so that x = Yᵀ c is the solution where J is square. A singular value s of J below ε
     counts as s/ε² instead of 1/s, so that its direction fades out, and braking −β dq takes its place by the part

@@ -235,7 +235,7 @@ class TaskController(Controller):
             self.renew()
 
     def renew(self) -> None:
-        """Make anew, at the next torque, what was made of values that have been assigned since."""
+        """Rebuild cached parts at the next torque after an assignment."""
         object.__setattr__(self, "_version", object())
 
     def _accepted(self, name: str, value: Any) -> Any:

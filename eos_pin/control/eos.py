@@ -121,7 +121,7 @@ class EosController(TaskController):
         return EosState(number=number, **self._made(chart))
 
     def _made(self, chart: Chart) -> dict[str, Any]:
-        """What a memory holds of gains, targets and the chart."""
+        """The state's part made of gains, targets and the chart."""
         drive = AccelerationMap(chart, smooth=self.smooth)
         self.self_motion.add_user(self)
         return {"drive": drive, "law": self.compiled_law(drive), "made_of": self._version}

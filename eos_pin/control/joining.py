@@ -189,7 +189,7 @@ def distances(joints: Callable[[float], Any], t: Array, q: Array) -> Array:
 
 
 def off_plan(joints: Callable[[float], Any], t: Array, q: Array, *, tol: float = 1e-2) -> str:
-    """Sentence that says that a run ended away from its plan; empty where it did not."""
+    """Sentence about a run that ended away from its plan; empty where it did not."""
     left = float(distances(joints, t[-1:], q[-1:])[0])
     if left <= tol:
         return ""

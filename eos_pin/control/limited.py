@@ -57,7 +57,7 @@ CLEAR = 20.0
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """What every joint must keep; infinite where there is no limit.
+    """Limits of every joint; infinite where there is no limit.
 
     Attributes:
         lower: Lower positions [rad or m].

@@ -122,7 +122,7 @@ class ControlLoop:
             self.reset()
 
     def _fit(self, controller: Controller) -> None:
-        """Take a controller, and what is limited for it, unless something does not fit."""
+        """Take a controller and its limits; refuse one that does not fit."""
         agreed_period(controller, self._period)
         robot = controller.robot
         limits, rate, first = self._given

@@ -1,4 +1,4 @@
-"""What the self-motion should do: laws for F_v, the self-motion part of F* in Eqs. (36), (39), (41), (45).
+"""Objectives of the self-motion: laws for F_v, the self-motion part of F* in Eqs. (36), (39), (41), (45).
 
 An objective never disturbs the task: whatever acceleration it asks of v, the chart's [G'; Vᵀ] keeps z on its own law.
 """
@@ -180,7 +180,7 @@ class Damp(Objective):
 
 
 def posture_value(law: Any, name: str, value: Any) -> Any:
-    """A checked, read-only copy of what is assigned to q, kp or kd of a posture law; all else as it is."""
+    """Checked, read-only copy of a value assigned to q, kp or kd of a posture law; all else as it is."""
     if name == "q":
         return frozen_copy(vector(value, law.q.size if "q" in vars(law) else None, "the posture"))
     return frozen_copy(gains(value, law.q.size, "a posture gain")) if name in ("kp", "kd") else value

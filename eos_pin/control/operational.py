@@ -80,7 +80,7 @@ class DampedNullSpace(NullSpaceLaw):
 
 
 class PostureNullSpace(NullSpaceLaw):
-    """Posture control M (kp (q_rest − q) − kd dq) in the null space, what most people use.
+    """Posture control M (kp (q_rest − q) − kd dq) in the null space, the most common law.
 
     Continuous joints go the shorter way round, see `Robot.way`. `q`, `kp` and `kd` may be assigned at any time.
 

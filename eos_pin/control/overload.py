@@ -1,4 +1,4 @@
-"""Joints that have less torque than gravity takes, to be told before they move."""
+"""Joints with less torque than gravity needs, found before they move."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ LONG_AGO = 40.0 / FORGETTING
 
 @dataclass(frozen=True, eq=False)
 class EosState:
-    """What `EosController` remembers.
+    """State of `EosController` between calls.
 
     Attributes:
         drive: What turns the law into joint accelerations on the chart it is on.

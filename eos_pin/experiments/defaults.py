@@ -182,7 +182,7 @@ def regularity(task: Task, q: JointVector, chart: Chart | None = None) -> float:
 
 
 def make_task(robot: Robot, kind: TaskKind = "position", *, frame: str = "", axes: str = "") -> Task:
-    """Task of a kind, with what is not given chosen to suit the robot.
+    """Task of a kind; missing choices are made to suit the robot.
 
     Args:
         robot: The robot.

@@ -78,7 +78,7 @@ class RobotOptions:
 
 @dataclass(frozen=True)
 class TaskOptions:
-    """What the robot must do.
+    """Task of the robot.
 
     Attributes:
         task: What counts: position, pose (with orientation), orientation, heading (planar robots), or centre of mass.
@@ -129,7 +129,7 @@ class PathOptions:
     duration: float | None = None
 
     def make(self, task: Task, q: JointVector) -> Trajectory:
-        """The path, through the task point at q unless a file says otherwise."""
+        """The path: from a file, or through the task point at q."""
         from eos_pin.experiments.defaults import fitting_path
         from eos_pin.experiments.path_files import path_from_csv
 

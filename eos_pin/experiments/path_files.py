@@ -37,7 +37,7 @@ TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 
 
 class _Coordinates(NamedTuple):
-    """What a table gives of a task: its first coordinates that are numbers, and its rotation."""
+    """Task coordinates of a table: its first coordinates that are numbers, and its rotation."""
 
     vectors: Float[Array, "K k"] | None = None
     turns: Float[Array, "K 3 3"] | None = None
@@ -134,7 +134,7 @@ def points_along(path: Trajectory, rate: float = 100.0) -> Vector:
 
 
 def _of_task(table: Waypoints, task: Task) -> _Coordinates:
-    """What the columns of a table give of a task."""
+    """Task coordinates in the columns of a table."""
     if table.values is not None:
         return _unnamed(table, task, table.values)
     source = table.source
@@ -187,7 +187,7 @@ def _along(table: Waypoints, axes: str) -> tuple[Array, tuple[str, ...]]:
 
 
 def _unnamed(table: Waypoints, task: Task, values: Float[Array, "K k"]) -> _Coordinates:
-    """What columns z1, …, zm give of a task."""
+    """Task coordinates in the columns z1, …, zm."""
     width, source = values.shape[1], str(table.source)
     if isinstance(task, PoseTask):
         return _Coordinates(*pose_numbers(values, source, table.lines))
@@ -245,7 +245,7 @@ def _steps(task: Task, given: _Coordinates) -> Vector:
 
 
 def _timed(table: Waypoints, task: Task, q: JointVector, given: _Coordinates, steps: Vector) -> tuple[Array, str]:
-    """Times for a table without, and what to say about them."""
+    """Times for a table without, and a note about them."""
     for k in np.flatnonzero(steps < 1e-9)[:1]:
         raise InputError(
             f"{table.source}, line {table.lines[k + 1]} repeats line {table.lines[k]}, and without a column t there is "

@@ -146,7 +146,7 @@ class Trial:
         return self.simulation.run(*self.prepare(), seed=self.seed, observer=observer)
 
     def figures(self, result: Result) -> Row:
-        """What the table says of the run, in plain values: the chief figures of `Result.summary`."""
+        """The run's row of the table, in plain values: the chief figures of `Result.summary`."""
         summary = result.summary()
         drift = summary["joint_drift_per_cycle"] or [math.nan]
         found = {name: summary[name] for name in MEASURED} | {"ended": summary["duration"]}

@@ -1,4 +1,4 @@
-"""What the paper claims, measured.
+"""The paper's claims, measured.
 
 Every claim is one number and one bound. Drift, tracking errors and energies are taken at or between exact multiples of
 the path's period.
@@ -30,7 +30,7 @@ SETTLED = 2.0
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the paper in our words, and what a run says about it.
+    """A claim of the paper in our words, and its measurement.
 
     Attributes:
         section: Where the paper makes it.
@@ -57,7 +57,7 @@ class Claim:
 
     @property
     def measured(self) -> str:
-        """What was measured, as closely as it is the same on every machine."""
+        """The measurement, rounded to digits that are the same on every machine."""
         if self.holds and not self.digits:
             return f"{'≥' if self.at_least else '≤'} {self.bound:g} {self.unit}".strip()
         return f"{self.value:.{self.digits or 2}g} {self.unit}".strip()
@@ -120,7 +120,7 @@ def energy_falls(runs: Runs, note: str = "") -> list[Claim]:
 
 
 def other_gradient_ends(runs: Runs) -> list[Claim]:
-    """What becomes of the other reading of Sec. 5.3."""
+    """Outcome of the other reading of Sec. 5.3."""
     run = runs["eos"]
     end = math.nan if run.ok else float(run.t[-1])
     return [Claim("5.3", "beside it: with ∇T = ∂T/∂y the run ends early, at", end, 18.0, unit="s", digits=2)]

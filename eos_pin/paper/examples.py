@@ -153,7 +153,7 @@ class Example:
 
 
 class Setting(NamedTuple):
-    """What the controllers of an example share.
+    """Settings that the controllers of an example share.
 
     Attributes:
         task: Position of the tip in the plane.

@@ -83,7 +83,7 @@ class Application:
         return replace(result, info={**result.info, **spent})
 
     def figures(self, result: Result) -> dict[str, Any]:
-        """What `run` achieved: the summary of the result, and distances, steps and limits over all of the path."""
+        """Measures of a run: the summary of the result, and distances, steps and limits over all of the path."""
         robot, clearance = self.task.robot, self.clearance
         distances = clearance.along(result.t, result.q)
         closest = int(distances.argmin())

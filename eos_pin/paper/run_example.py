@@ -1,4 +1,4 @@
-"""What every script of `scripts/` does with its example: run it, print it, check the claims, write the files."""
+"""Common part of the scripts of the paper's examples: run it, print it, check the claims, write the files."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def run_rows(title: str, results: Mapping[str, Result]) -> Any:
 
 
 def claim_rows(claims: Sequence[Claim]) -> Any:
-    """Table of claims with what was measured, in full."""
+    """Table of claims with their measurements, in full."""
     from rich import box
     from rich.table import Table
 

@@ -1,4 +1,4 @@
-"""What the scripts of the cited applications do: follow the path with and without making way, and show what it does."""
+"""Common part of the scripts of the cited applications: follow the path with and without avoidance, and compare."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ ROWS = {
 
 
 def run_obstacle_example(application: Application, output: Output, title: str) -> int:
-    """Run an application, print a table of it, and write and show what is asked for.
+    """Run an application, print its table, and write and show the chosen outputs.
 
     Returns:
         0; 1 if a body touched an obstacle, the task was missed, a joint limit exceeded, or the path not completed.

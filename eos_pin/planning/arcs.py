@@ -198,7 +198,7 @@ def _inside(
 
 
 def _overlap(piece: _Piece, other: tuple[float, float, int, tuple[str, str]], joint: int) -> _Piece | None:
-    """What two pieces have in common."""
+    """Intersection of two pieces."""
     a, first = max((piece[0], piece[3][0]), (other[0], other[3][0]), key=lambda end: end[0])
     b, last = min((piece[1], piece[3][1]), (other[1], other[3][1]), key=lambda end: end[0])
     if not a < b:

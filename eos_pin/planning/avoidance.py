@@ -78,7 +78,7 @@ class Avoidance:
         return dv / max(1.0, float(np.abs(D @ dv).max(initial=0.0)) / self.longest)
 
     def _repulsion(self, t: float, q: JointVector) -> tuple[Float[Array, "k n"], Vector]:
-        """What is too close: slope of each way with the joints, and what it lacks, in units of what it should be."""
+        """Bodies and joints that are too close: gradient of each distance, and its relative deficit."""
         robot = self.clearance.robot
         near = self.clearance.closest_pairs(t, q, within=self.influence_distance)
         below, above = 1.0 - (q - robot.lower) / self.room, 1.0 - (robot.upper - q) / self.room
@@ -140,7 +140,7 @@ class Avoidance:
 
 
 class _Walker:
-    """Where the robot stands on its way, and what it took to get there."""
+    """Position of the robot on its path, and the effort to get there."""
 
     def __init__(self, atlas: Atlas, chart: Chart, tol: float) -> None:
         self.atlas, self.tol = atlas, tol

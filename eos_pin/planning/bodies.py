@@ -182,7 +182,7 @@ class Clearances:
 
     @cached_property
     def names(self) -> list[tuple[str, str]]:
-        """What each row of `pairs` is the distance of."""
+        """Names of the pair that each row of `pairs` measures."""
         links = [link for link, _ in self.bodies.capsules]
         names = [(links[i], links[j]) for i, j in self._self.tolist()]
         for pairs, solids in ((self._boxed.tolist(), self.scene.boxes), (self._capped.tolist(), self.scene.capsules)):
@@ -260,7 +260,7 @@ class Clearances:
         return out
 
     def _check_base(self) -> None:
-        """Refuse solids that touch what does not move."""
+        """Refuse solids that touch bodies at rest."""
         still = [i for i, joint in enumerate(self._joints) if not joint]
         if not still or not len(self.scene):
             return

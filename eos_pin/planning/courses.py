@@ -22,7 +22,7 @@ CORRECTION = 0.35
 
 
 class Mended(NamedTuple):
-    """Joints that keep everything, or what could not be mended.
+    """Joints that keep all constraints, or the constraints that remain broken.
 
     Attributes:
         q: Joints, (L, n); None where they could not be mended.
@@ -68,7 +68,7 @@ def broken_at(manifold: Manifold, grid: Grid, q: Float[Array, "L n"]) -> int | N
 
 
 class Penalty(Barrier):
-    """The cost, a little, and squares of what is broken.
+    """Weighted cost plus squared violations.
 
     Args:
         course: The problem.
@@ -138,7 +138,7 @@ def mended(course: Course, q: Float[Array, "L n"]) -> Mended:
 
 
 def _broken(course: Course, q: Array) -> tuple[str, int]:
-    """What is broken, in words, and where it is worst."""
+    """Violations in words, and the place of the worst."""
     problem, robot = course.problem, course.problem.manifold.robot
     for room, end in ((q - problem.lower, "lower"), (problem.upper - q, "upper")):
         if (room < 0.0).any():

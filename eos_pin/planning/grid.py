@@ -1,4 +1,4 @@
-"""Points of a path at which joints are planned, and what people call them."""
+"""Points of a path at which joints are planned, and their names."""
 
 from __future__ import annotations
 

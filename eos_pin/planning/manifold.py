@@ -183,7 +183,7 @@ class SelfMotionManifold:
 
     @cached_property
     def reasons(self) -> tuple[str, ...]:
-        """What cuts the components' arcs short, most frequent first."""
+        """Causes that cut the components' arcs short, most frequent first."""
         causes = [cause for arc in self.arcs for cause in arc.causes if cause]
         return tuple(sorted(set(causes), key=lambda cause: (-causes.count(cause), cause)))
 

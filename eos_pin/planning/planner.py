@@ -298,7 +298,7 @@ class _Search:
         self.notes.append(f"{result.reason} at {self.grid.called(result.row)}")
 
     def refusal(self) -> PlanError:
-        """Why no motion was found, where, and what would help."""
+        """Reason and place of a refusal, and a change that would help."""
         grid, problem = self.grid, self.problem
         if len(self.failures) and len(self.failures) == len(self._attempts_made()):
             failure, row = max(self.failures, key=lambda item: item[1])

@@ -192,7 +192,7 @@ class Plan:
         return self.q[np.minimum(rows, len(self.q) - 1)][:count]
 
     def task_target(self, t: float) -> Target:
-        """What the task should be at time t."""
+        """Target of the task at time t."""
         return self.path(self._wrapped(t))
 
     # -- identity
@@ -316,7 +316,7 @@ def dds_plus(ddS: Array, ddC: Array, dC: Array, bend: Array, rate: Array) -> Arr
 
 
 def identity(robot: Robot) -> dict[str, str]:
-    """Hashes of what a plan depends on: joints and their placement, limits, frames (tools), masses (payloads)."""
+    """Hashes of a plan's dependencies: joints and their placement, limits, frames (tools), masses (payloads)."""
     model = robot.model
     frames = [(f.name, f.parentJoint, f.placement.homogeneous.round(12).tolist()) for f in model.frames]
     kinematics = [

@@ -29,7 +29,7 @@ PostureCost: TypeAlias = Callable[[Float[np.ndarray, "K n"]], Float[np.ndarray, 
 
 
 class Bar(NamedTuple):
-    """What bars some postures.
+    """Causes that exclude postures.
 
     Attributes:
         reason: What it is, in words.
@@ -42,7 +42,7 @@ class Bar(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is allowed, and what it costs.
+    """Constraints and cost of a plan.
 
     Attributes:
         manifold: The task's manifolds.
@@ -115,7 +115,7 @@ class Problem:
         return np.asarray(self.posture_cost(Q.T), dtype=float)
 
     def bars(self, Q: Float[Array, "n K"], found: Bool[Array, " K"]) -> list[Bar]:
-        """What bars postures, the most frequent first: no solution, a joint's limit, or a pair that comes too close."""
+        """Causes that exclude postures, most frequent first: no solution, a joint's limit, or a pair too close."""
         robot, counts = self.manifold.robot, dict[str, int]()
 
         def note(reason: str, count: int) -> None:
@@ -140,7 +140,7 @@ class Problem:
 
 
 def told(bars: Sequence[Bar]) -> str:
-    """What bars the way, in words."""
+    """Causes that exclude the postures, in words."""
     return ", ".join(f"{bar.postures} by {bar.reason}" for bar in bars) or "none"
 
 

@@ -22,7 +22,7 @@ DENSELY = 10
 def figures(
     plan: Plan, grid: Grid, problem: Problem, seconds: float, *, jumps: Sequence[int] = (), seed: int = 0
 ) -> dict[str, Any]:
-    """What is known about a plan, in plain values.
+    """Measures of a plan, in plain values.
 
     Args:
         plan: The plan.

@@ -300,7 +300,7 @@ class Layers:
         return Failure(k, live.shape[1], bars, int(ok.sum()))
 
     def _bars_at(self, layer: int) -> list[Bar]:
-        """What bars postures at a task point, limits and everything else left aside while they are looked for."""
+        """Causes that exclude postures at a task point, found without regard to limits."""
         problem = self.problem
         Z = np.repeat(self.Z[layer][:, None], 400, axis=1)
         Q, found = problem.manifold.project(problem.random(self._random, 400), Z, iterations=30)

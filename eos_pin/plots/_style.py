@@ -1,4 +1,4 @@
-"""What all figures share: colours, sizes, legends and axes.
+"""Style that all figures share: colours, sizes, legends and axes.
 
 A colour means the same in every panel: grey is what was asked for, blue what happened, vermilion a limit or an
 obstacle, and each controller keeps its own. The colours are those of Okabe and Ito, which people with any kind of
@@ -83,7 +83,7 @@ CONTROLLERS = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Context in which figures look like ours, whatever the user's matplotlibrc says."""
+    """Context with the package's style of figures, independent of the user's matplotlibrc."""
     with matplotlib.style.context(["default", STYLE]):
         yield
 
@@ -189,7 +189,7 @@ def shortened(name: str, most: int = 26) -> str:
 
 
 def focus(ax: Axes, result: Result, values: Array) -> None:
-    """Show what comes after transients where these are so large that it would be flat, and name their peak."""
+    """Clip large transients so that the rest is not flat, and name their peak."""
     late = values[result.settled_row :]
     if not len(late) or not np.isfinite(values).all():
         return

@@ -73,7 +73,7 @@ __all__ = [
 
 @style()
 def overview(result: Result, robot: Robot | None = None) -> Figure:
-    """One page with what a person wants to see of a run.
+    """One page with an overview of a run.
 
     Args:
         result: The run.

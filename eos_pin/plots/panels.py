@@ -231,7 +231,7 @@ def plot_drift(ax: Axes, results: Result | Mapping[str, Result], robot: Robot | 
 
 
 def plot_torques(ax: Axes, result: Result, robot: Robot | None = None) -> None:
-    """Torques over time, with what the joints cannot give shaded.
+    """Torques over time, with the range beyond the limits shaded.
 
     Where the joints have different limits, each torque is drawn relative to its own.
     """
@@ -312,7 +312,7 @@ def _seen_path(result: Result) -> Array:
 def _projection(
     result: Result, robot: Robot | None, size: int, joints: Sequence[int] | None
 ) -> tuple[Float[Array, "T size"], list[str]]:
-    """Points of a joint motion in two or three dimensions, and what its axes are."""
+    """Points of a joint motion in two or three dimensions, and its axes."""
     q, n = result.q, result.q.shape[1]
     units = [f"[{', '.join(joint_units(robot))}]"] * n
     if robot is not None:

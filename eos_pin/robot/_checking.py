@@ -48,7 +48,7 @@ class UrdfJoint:
 
     @property
     def has_one_degree(self) -> bool:
-        """Whether one number says where it stands."""
+        """Whether the joint has one degree of freedom."""
         return self.kind in ONE_DEGREE
 
     @property
@@ -86,7 +86,7 @@ class Checker:
         self.path, self.notes = path, notes or Notes()
 
     def fail(self, element: etree._Element, problem: str) -> RobotError:
-        """What to raise because of `element`."""
+        """Error about `element`."""
         owner = next((e for e in (element, *element.iterancestors()) if e.tag in ("joint", "link")), None)
         name = None if owner is None else owner.get("name")
         of = f", in {owner.tag} {name!r}" if owner is not None and name and repr(name) not in problem else ""
@@ -134,7 +134,7 @@ class Checker:
         return self.numbers(element, key, 1, infinite=infinite)[0] if key in element.attrib else default
 
     def _no_xacro(self, root: etree._Element) -> None:
-        """Refuse what xacro would have to fill in; drop what it has left behind."""
+        """Refuse placeholders that xacro would have to fill in; drop what it has left behind."""
         for element in list(root.iter(etree.Element)):
             prefix, _, tag = element.tag.replace("}", ":").rpartition(":")
             parent = element.getparent()

@@ -1,4 +1,4 @@
-"""XML that nobody vouches for: parsed safely, and where it is not quite XML, as the parsers of robot programs take it.
+"""Untrusted XML: parsed safely, and where it is not quite XML, as the parsers of robot programs take it.
 
 The parser resolves no entity, and opens no other file and no connection.
 """
@@ -77,7 +77,7 @@ def text_of(name: str, content: bytes) -> str:
 
 
 def undeclared(text: str) -> str:
-    """The text without its XML declaration, which has nothing to say about text; lines keep their numbers."""
+    """The text without its XML declaration, which does not apply to text; lines keep their numbers."""
     found = _DECLARATION.match(text)
     return "\n" * found[0].count("\n") + text[found.end() :] if found else text
 
@@ -94,7 +94,7 @@ def _root(content: bytes) -> etree._Element:
 
 
 def _lenient(content: bytes) -> tuple[bytes, list[str]]:
-    """The document without what other parsers do not look at, and what that was; lines keep their numbers."""
+    """The document without parts that other parsers ignore, and notes about them; lines keep their numbers."""
     try:
         text = text_of("", content)
     except RobotError:

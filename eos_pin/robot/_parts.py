@@ -30,12 +30,12 @@ class Joint:
 
 
 class HasShapes(Protocol):
-    """What holds the geometry of a robot, such as `eos_pin.robot.geometry.Shapes`."""
+    """Protocol of a robot's geometry, such as `eos_pin.robot.geometry.Shapes`."""
 
     @property
     def visual(self) -> pin.GeometryModel:
-        """What a person sees."""
+        """Visual geometry."""
 
     @property
     def collision(self) -> pin.GeometryModel:
-        """What distances are computed from."""
+        """Collision geometry."""

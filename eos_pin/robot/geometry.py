@@ -41,7 +41,7 @@ _stderr = threading.Lock()
 
 @contextmanager
 def quiet() -> Iterator[list[str]]:
-    """Catch what C++ libraries write on the error stream; `sys.stderr` never sees it. The list holds it after."""
+    """Catch output of C++ libraries on the error stream; `sys.stderr` never sees it. The list holds it after."""
     said: list[str] = []
     with _stderr, tempfile.TemporaryFile() as file:
         if sys.stderr is not None:
@@ -69,12 +69,12 @@ class Shapes:
 
     @cached_property
     def visual(self) -> pin.GeometryModel:
-        """What a person sees."""
+        """Visual geometry."""
         return self._read(pin.GeometryType.VISUAL)
 
     @cached_property
     def collision(self) -> pin.GeometryModel:
-        """What distances are computed from."""
+        """Collision geometry."""
         return self._read(pin.GeometryType.COLLISION)
 
     def _read(self, kind: pin.GeometryType) -> pin.GeometryModel:
@@ -156,7 +156,7 @@ def resolve_shapes(root: etree._Element, path: Path, package_dirs: Sequence[Path
 
 
 def _tidy_materials(root: etree._Element) -> None:
-    """Drop what makes the parser refuse a whole link, or file: nameless and repeated materials, and textures."""
+    """Drop elements that make the parser refuse a link or file: nameless or repeated materials, textures."""
     names: set[str] = set()
     for material in list(root.iter("material")):
         name, parent = material.get("name"), material.getparent()
@@ -220,7 +220,7 @@ def _installed() -> Iterator[Path]:
 
 
 def _guess(name: str, urdf: Path) -> Path | None:
-    """What the search of yourdfpy finds: it tries all folders above the URDF without the package's name, too."""
+    """Result of the search of yourdfpy: it tries all folders above the URDF without the package's name, too."""
     # Imported here only: it takes 0.4 s, far more than all the rest of loading, and few robots need it.
     from yourdfpy.urdf import filename_handler_magic
 

@@ -190,7 +190,7 @@ def default_frame(robot: Robot) -> str:
 
 
 def _read(source: str | bytes | Path) -> tuple[Urdf, str]:
-    """The URDF, and what to call it so that it is found again: a name, an absolute path, or its text."""
+    """The URDF, and a name by which it is found again: a name, an absolute path, or its text."""
     if isinstance(source, bytes) or (isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")):
         return read_urdf_text(source)
     if not isinstance(source, (str, os.PathLike)):
@@ -203,7 +203,7 @@ def _read(source: str | bytes | Path) -> tuple[Urdf, str]:
 
 
 def _find(source: str | os.PathLike[str]) -> tuple[Path, str]:
-    """The URDF file, and what to call it so that it is found again."""
+    """The URDF file, and a name by which it is found again."""
     if isinstance(source, str):
         if (named := find_robot(source)) is not None:
             return named.path, named.name
@@ -216,7 +216,7 @@ def _find(source: str | os.PathLike[str]) -> tuple[Path, str]:
 
 
 def _made(kind: type[T], value: T | Mapping[str, Any] | None) -> T | None:
-    """The value itself, or made from what its `as_dict` gave."""
+    """The value itself, or one made from its `as_dict`."""
     if not isinstance(value, Mapping):
         return value
     try:

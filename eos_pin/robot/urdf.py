@@ -1,4 +1,4 @@
-"""Read a URDF that nobody vouches for: safely, naming file, line and joint, and into the form Pinocchio needs.
+"""Read an untrusted URDF: safely, naming file, line and joint, and into the form Pinocchio needs.
 
 What Pinocchio's own parser would refuse with a line on the terminal, or accept and get wrong, is checked or rewritten
 here first. What other parsers read although it is odd is read here as well, with a note.

@@ -180,7 +180,7 @@ class Recorder:
         return {"chart": number, "v": v, "dv": dv, "v_ref": v_ref}
 
     def _task(self, task: Task | None) -> dict[str, Any]:
-        """What became of the task at each sample."""
+        """Task values and errors at each sample."""
         rows, controller, force = self._rows, self.system.controller, self.system.task_force
         if task is None:
             return {name: np.zeros((len(rows), 0)) for name in _TASK_COLUMNS}
@@ -273,7 +273,7 @@ def joint_run(
 
 
 def _record(robot: Robot) -> dict[str, Any]:
-    """What `Result.load_plant` needs to find the robot again."""
+    """Description from which `Result.load_plant` finds the robot again."""
     return {
         "name": robot.name,
         "source": robot.source,

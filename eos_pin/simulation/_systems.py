@@ -1,4 +1,4 @@
-"""What is integrated: the differential equations of a plant under a controller, in joints or in w = (z, v)."""
+"""Differential equations of a plant under a controller, in joints or in w = (z, v)."""
 
 from __future__ import annotations
 

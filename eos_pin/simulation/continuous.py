@@ -205,7 +205,7 @@ def _expired_at(system: System, solver: Any, dense: Any, margin: float) -> float
 
 
 def _check_speed(system: System, t: float, x: Vector) -> None:
-    """End a run whose joints have run away, and say why."""
+    """End a run whose joints have run away, with the reason."""
     q, dq = system.joints(x)
     if dq.dot(dq) < TOO_FAST**2:
         return

@@ -76,7 +76,7 @@ class Friction:
 @checked
 @dataclass(frozen=True)
 class SensorNoise:
-    """Normally distributed errors of what the controller measures.
+    """Normally distributed errors of measured joints and velocities.
 
     Attributes:
         q: Standard deviation of the joints [rad or m].

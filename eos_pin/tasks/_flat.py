@@ -53,7 +53,7 @@ def flat_pose(array: Array, tolerance: float) -> Point | None:
 
 
 def flat_rotation(value: PointLike, name: str) -> Vector:
-    """Flat rotation matrix from what a person writes.
+    """Flat rotation matrix from a rotation in any accepted form.
 
     Raises:
         InputError: Not 9 numbers, or no rotation.
@@ -99,7 +99,7 @@ def checked_pose(value: PointLike, name: str) -> Point:
 
 
 def flat_point(value: PointLike, name: str) -> tuple[Point, int | None]:
-    """Flat point of a task that is not known, and the task's dimension where the form of the point tells it.
+    """Flat point of an unknown task, and the task's dimension if the form of the point implies it.
 
     Args:
         value: A `pin.SE3` or 4 × 4 matrix (a pose), a 3 × 3 matrix (a rotation), or a flat point of any task.

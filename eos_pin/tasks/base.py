@@ -230,7 +230,7 @@ class Task(Checked, ABC):
         return Kinematics(self)
 
     def frame_parts(self) -> tuple[Part, ...] | None:
-        """Frames and what of their poses is the task, for compiled kinematics; None where it is something else."""
+        """Frames and the parts of their poses that are the task, for compiled kinematics; None for other tasks."""
         return None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -260,7 +260,7 @@ class Task(Checked, ABC):
         return 1.0
 
     def point(self, value: PointLike) -> Point:
-        """Flat task point from what a person writes.
+        """Flat task point from a point in any accepted form.
 
         Raises:
             InputError: Wrong shape, not finite, or not a rotation.

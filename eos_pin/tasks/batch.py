@@ -115,7 +115,7 @@ class Manifold:
         self._frames = [(f.parentJoint, *self.placements.local(f.parentJoint, f.placement)) for f in frames]
 
     def linearize(self, Q: Float[Array, "n K"], Z: Float[Array, "size #K"]) -> tuple[Array, Array]:
-        """What is missing to the task points Z, `minus(Z, G(Q))`, (m, K), and the Jacobians, (m, n, K)."""
+        """Task errors `minus(Z, G(Q))`, (m, K), and Jacobians, (m, n, K)."""
         if self._kernel is not None:
             z, jacobians = self._kernel.linearize(Q.T)
             return self._kernel.minus(Z.T, z).T, jacobians.transpose(1, 2, 0)

@@ -1,4 +1,4 @@
-"""How far a task can get at most, so that what is out of reach is refused before anything is computed."""
+"""Upper bounds of a task's reach, by which unreachable points are refused before anything is computed."""
 
 from __future__ import annotations
 

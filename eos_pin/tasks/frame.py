@@ -1,4 +1,4 @@
-"""What tasks of one frame have in common: they are rows of its pose, its twist and its Jacobian."""
+"""Common part of the tasks of one frame: they are rows of its pose, its twist and its Jacobian."""
 
 from __future__ import annotations
 

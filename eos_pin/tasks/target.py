@@ -21,7 +21,7 @@ from eos_pin.tasks._flat import Point, flat_point
 
 @by_identity
 class Target(NamedTuple):
-    """What the task should be at one time.
+    """Target of the task at one time.
 
     Attributes:
         z: Task point.
@@ -36,7 +36,7 @@ class Target(NamedTuple):
 
 @by_identity
 class JointTarget(NamedTuple):
-    """What the joints should be at one time.
+    """Target of the joints at one time.
 
     Attributes:
         q: Joints [rad or m].

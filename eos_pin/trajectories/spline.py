@@ -128,7 +128,7 @@ def check_rows(table: Waypoints) -> None:
 
 
 def shifted(table: Waypoints) -> tuple[str, ...]:
-    """Sentence that says that the times of a file are counted from the first, if that changes them."""
+    """Note that the times of a file are counted from the first, if that changes them."""
     if not table.start:
         return ()
     return (f"the times of {table.source} begin at {table.start:.10g} s; they are counted from there",)

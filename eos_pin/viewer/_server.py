@@ -130,7 +130,7 @@ class _Browser(tornado.websocket.WebSocketHandler):
             task.add_done_callback(self.waiting.discard)
 
     async def part(self) -> None:
-        """Send what is still to be sent, say goodbye, and wait for the answer."""
+        """Send the remaining messages, close, and wait for the answer."""
         await asyncio.gather(*self.waiting)
         self.close(1001, "the run has ended")
         await self.gone.wait()
@@ -144,7 +144,7 @@ class _Browser(tornado.websocket.WebSocketHandler):
             self.busy = False
 
     def on_message(self, message: str | bytes) -> None:
-        """Browsers have nothing to say."""
+        """Ignore messages of browsers."""
 
     def on_close(self) -> None:
         self.server.clients.discard(self)

@@ -1,4 +1,4 @@
-"""What the viewer draws: a robot, paths and obstacles, packed as triangles and as bodies that move.
+"""Scenes that the viewer draws: a robot, paths and obstacles, packed as triangles and as bodies that move.
 
 The packed form is one compressed block: a JSON header, then arrays. Vertices are 16-bit fractions of their mesh's
 bounding box (a tenth of a millimetre on a link of several metres), equal meshes are stored once, and motion is one
@@ -43,7 +43,7 @@ PATH_POINTS = 2000
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What there is to see, apart from how it moves.
+    """Robot, paths and obstacles in view, without their motion.
 
     Attributes:
         robot: The robot, drawn by its visual geometry, or as a skeleton of its joints if it has none.

@@ -149,7 +149,7 @@ class Viewer:
 
 
 def _message(kind: int, times: Vector, poses: Array) -> bytes:
-    """What the page's `receive` reads: kind, number of frames, their times, their poses."""
+    """Message for the page's `receive`: kind, number of frames, their times, their poses."""
     return np.concatenate([[kind, times.size], times, poses.ravel()]).astype("<f4").tobytes()
 
 
