@@ -37,13 +37,13 @@ def result(k):
 
 both = [result(0), result(1)]
 if not atomic:
-    import eos_pin.simulation.result
+    import eos_pin.simulation._storage
 
     def write_in_place(path, write):
         with open(path, "wb") as file:
             write(file)
 
-    eos_pin.simulation.result.write_atomically = write_in_place
+    eos_pin.simulation._storage.write_atomically = write_in_place
 start = time.perf_counter()
 both[0].save(path)
 once = time.perf_counter() - start

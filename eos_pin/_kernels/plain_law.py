@@ -205,7 +205,9 @@ class TrackingLaw(AccelerationMap):
         # The error of v has the opposite sign.
         self._kp, self._kd = np.concatenate((kp, np.negative(kp_v))), np.concatenate((kd, kd_v))
         self._v = np.array(v, dtype=float)
-        self._at, self._look, self._minus = at, at.look if isinstance(at, Frame) else None, minus
+        self._look, self._minus = at.look if isinstance(at, Frame) else None, minus
+        # A compiled frame is no function, but has one.
+        self._at = at if callable(at) else at.at
         # Workspaces, and their parts for the task and the self-motion.
         self._rate, self._F = np.zeros((2, self.n))
         self._task_rate, self._task_F, self._v_F = self._rate[: self.m], self._F[: self.m], self._F[self.m :]

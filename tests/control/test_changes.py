@@ -382,7 +382,7 @@ def test_sampled_run_limits_the_rate_of_torque(panda: Robot, task: PositionTask)
 @pytest.mark.usefixtures("unchecked")
 def test_options_limit_the_rate_of_torque(panda: Robot, task: PositionTask) -> None:
     with pytest.raises(InputError, match="--control-rate 1000"):
-        _ = RunOptions(torque_rate=100.0).period
+        _ = RunOptions(torque_rate=100.0).control_period
     options = RunOptions(control_rate=500.0, torque_rate=200.0, soft_start=0.05)
     run = options.run(panda, EosController(task, Hold(task.value(REST) + AHEAD)), REST, 0.1)
     # Samples are taken every 10 ms.

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from eos_pin import EosController, InputError, PositionTask, UnknownNameError, load_robot, simulate_sampled
 from eos_pin.cli.main import main
-from eos_pin.errors import EosError
+from eos_pin.errors import EosError, MissingDependencyError
 from eos_pin.experiments.defaults import fitting_path, rest_posture
 from eos_pin.experiments.sweeps import sweep, write_table
 from eos_pin.experiments.trial import Trial, trials
