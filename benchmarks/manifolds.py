@@ -33,7 +33,7 @@ from eos_pin import PoseTask, Robot, load_robot
 from eos_pin.cli.main import run
 from eos_pin.cli.output import console, grid, stderr, write_json
 from eos_pin.errors import InputError
-from eos_pin.planning.manifold import SelfMotionManifold, self_motion_manifold
+from eos_pin.planning.manifolds.manifold import SelfMotionManifold, self_motion_manifold
 from eos_pin.robot.geometry import Shapes
 
 #: An arm with three joints in one point at the shoulder, one at the elbow and three in one point at the wrist.

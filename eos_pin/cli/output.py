@@ -30,7 +30,7 @@ from eos_pin.experiments._interrupts import patient_interrupts
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from eos_pin.planning.clearance import Obstacle
+    from eos_pin.planning.obstacles.clearance import Obstacle
     from eos_pin.robot.model import Robot
     from eos_pin.simulation._recorder import Observer
     from eos_pin.simulation.result import Result

@@ -28,10 +28,10 @@ from eos_pin.errors import InputError, PlanError
 from eos_pin.experiments.options import RobotOptions, TaskOptions
 
 if TYPE_CHECKING:
-    from eos_pin.planning.bodies import Bodies
+    from eos_pin.planning.obstacles.bodies import Bodies
     from eos_pin.planning.planner import Progress as Report
     from eos_pin.planning.plans import Plan
-    from eos_pin.planning.scene import Scene
+    from eos_pin.planning.obstacles.scene import Scene
     from eos_pin.robot.model import Robot
     from eos_pin.tasks.base import Task
     from eos_pin.trajectories.base import Trajectory
@@ -112,8 +112,8 @@ class Obstructed:
 
     def bodies(self, robot: Robot) -> Bodies | None:
         """The robot's capsules; None where they are not needed or are to be fitted."""
-        from eos_pin.planning.bodies import Bodies
-        from eos_pin.planning.scene import Capsule
+        from eos_pin.planning.obstacles.bodies import Bodies
+        from eos_pin.planning.obstacles.scene import Capsule
 
         if self.capsules is None:
             return None
@@ -164,7 +164,7 @@ def plan(
       eos-pin track panda --plan circle.npz
     """
     from eos_pin.planning.planner import plan as planned
-    from eos_pin.planning.scene import read_scene
+    from eos_pin.planning.obstacles.scene import read_scene
 
     files = output.within(
         None, names={"json": "plan.json", "csv": "joints.csv", "html": "replay.html", "plot": "plan.png"}

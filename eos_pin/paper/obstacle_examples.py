@@ -17,8 +17,8 @@ from jaxtyping import Float
 
 from eos_pin._arrays import Array, JointVector, frozen_copy
 from eos_pin.charts.atlas import Atlas
-from eos_pin.planning.avoidance import Avoidance
-from eos_pin.planning.clearance import Clearance, Obstacle
+from eos_pin.planning.obstacles.avoidance import Avoidance
+from eos_pin.planning.obstacles.clearance import Clearance, Obstacle
 from eos_pin.robot.loading import load_robot
 from eos_pin.simulation._recorder import joint_run
 from eos_pin.simulation.result import Result

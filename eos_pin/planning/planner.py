@@ -12,14 +12,14 @@ import numpy as np
 
 from eos_pin._arrays import Array, VectorLike
 from eos_pin.errors import InputError, PlanError
-from eos_pin.planning.bodies import Bodies
+from eos_pin.planning.obstacles.bodies import Bodies
 from eos_pin.planning.courses import Mended, broken_at, mended, prolonged
 from eos_pin.planning.grid import Grid, grid_of
 from eos_pin.planning.plans import Plan
 from eos_pin.planning.problem import PostureCost, Problem, given, problem_of, told
 from eos_pin.planning.refine import Course, refine, without_bounds
 from eos_pin.planning.report import figures
-from eos_pin.planning.scene import Scene
+from eos_pin.planning.obstacles.scene import Scene
 from eos_pin.planning.search import Failure, Layers
 from eos_pin.tasks.base import PointLike, Task
 from eos_pin.tasks.batch import Manifold

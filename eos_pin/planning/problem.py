@@ -19,8 +19,8 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin.errors import InputError
-from eos_pin.planning.bodies import Bodies, Clearances
-from eos_pin.planning.scene import Scene
+from eos_pin.planning.obstacles.bodies import Bodies, Clearances
+from eos_pin.planning.obstacles.scene import Scene
 from eos_pin.tasks.base import Task
 from eos_pin.tasks.batch import Manifold
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eos_pin._arrays import Array
-from eos_pin.planning.bodies import Clearances
+from eos_pin.planning.obstacles.bodies import Clearances
 from eos_pin.planning.plans import Plan
 from eos_pin.plots._style import PAGE, colors_of, draw_legend, style
 from eos_pin.tasks.batch import Manifold, ranges

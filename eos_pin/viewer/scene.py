@@ -26,7 +26,7 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin.errors import InputError
-from eos_pin.planning.clearance import Obstacle
+from eos_pin.planning.obstacles.clearance import Obstacle
 from eos_pin.robot._data import workspace
 from eos_pin.robot.model import Robot
 from eos_pin.viewer._meshes import (

@@ -6,8 +6,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from eos_pin.planning.clearance import Obstacle
-from eos_pin.planning.scene import Scene, rotation
+from eos_pin.planning.obstacles.clearance import Obstacle
+from eos_pin.planning.obstacles.scene import Scene, rotation
 
 
 def obstacles_of(solids: Scene | None) -> list[Obstacle]:

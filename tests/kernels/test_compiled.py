@@ -29,8 +29,8 @@ from eos_pin._kernels.dispatch import COMPILED, DONE, REFERENCES, UNDECIDED, ker
 from eos_pin._kernels.kinematics import MOST_NODES, SHORTEST
 from eos_pin.control import loop
 from eos_pin.control._regularize import AccelerationMap
-from eos_pin.planning.bodies import Bodies, Clearances
-from eos_pin.planning.scene import Box, Capsule, Scene
+from eos_pin.planning.obstacles.bodies import Bodies, Clearances
+from eos_pin.planning.obstacles.scene import Box, Capsule, Scene
 from eos_pin.simulation import _systems
 from eos_pin.tasks._flat import ORTHONORMAL
 from eos_pin.trajectories.base import Target

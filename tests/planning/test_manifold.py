@@ -8,7 +8,7 @@ import pytest
 from checks import TAU, planar
 
 from eos_pin import InputError, PoseTask, PositionTask
-from eos_pin.planning.manifold import self_motion_manifold
+from eos_pin.planning.manifolds.manifold import self_motion_manifold
 
 
 @pytest.fixture

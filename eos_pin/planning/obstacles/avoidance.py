@@ -21,7 +21,7 @@ from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.charts.solutions import JointPath
 from eos_pin.errors import InputError, Renamed, SingularError, renamed
-from eos_pin.planning.clearance import Clearance
+from eos_pin.planning.obstacles.clearance import Clearance
 from eos_pin.robot.postures import JointsLike
 from eos_pin.tasks.base import Point
 from eos_pin.trajectories.base import Trajectory

@@ -20,9 +20,9 @@ from eos_pin._arrays import (
 )
 from eos_pin._kernels.kinematics import Kinematics
 from eos_pin.errors import InputError, SingularError
-from eos_pin.planning.arcs import Arc, arc_joints, arcs_within, clear_arcs
-from eos_pin.planning.components import Component
-from eos_pin.planning.covering import Covering, covering
+from eos_pin.planning.manifolds.arcs import Arc, arc_joints, arcs_within, clear_arcs
+from eos_pin.planning.manifolds.components import Component
+from eos_pin.planning.manifolds.covering import Covering, covering
 from eos_pin.tasks.base import Point, PointLike, Task
 
 #: Whether a robot collides at joints.

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from eos_pin._arrays import Array, JointVector, Vector
-from eos_pin.planning.components import TAU, Component
+from eos_pin.planning.manifolds.components import TAU, Component
 
 #: A turning point this close to a limit is computed exactly before it is compared with it [rad or m].
 NEAR = 0.02

@@ -17,7 +17,7 @@ from eos_pin._kernels.dispatch import kernels
 from eos_pin._kernels.distances import segment_to_box, segment_to_segment
 from eos_pin._kernels.flat import flat_model
 from eos_pin.errors import InputError, RobotError, UnknownNameError
-from eos_pin.planning.scene import Capsule, Scene, rotation
+from eos_pin.planning.obstacles.scene import Capsule, Scene, rotation
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.batch import Placements, ranges
 

@@ -1,0 +1,1 @@
+"""Self-motion manifolds: components, their arcs within limits, and coverings."""

@@ -1,0 +1,1 @@
+"""Solids in the way of a robot: scenes, clearance, and self-motion that avoids them."""
