@@ -25,8 +25,8 @@ import pinocchio as pin
 from eos_pin import PoseTask, load_robot
 from eos_pin.errors import EosError
 from eos_pin.planning.obstacles.bodies import Bodies
-from eos_pin.planning.planner import plan
 from eos_pin.planning.obstacles.scene import Box, Capsule, Scene
+from eos_pin.planning.planner import plan
 
 #: Longest step of a joint that turns, and of one that slides.
 TURN, SLIDE = np.radians(7.0), 0.02

@@ -12,6 +12,8 @@ from eos_pin._arrays import Array
 
 #: What a jump costs; more than any motion.
 RECONFIGURATION = 1e6
+#: Most postures at which closed ways begin.
+STARTS = 100
 
 
 class Steps(NamedTuple):
@@ -77,20 +79,22 @@ def open_ways(
 def closed_ways(nodes: Sequence[Array], steps: Sequence[Steps], scale: Array, most: int) -> list[Array]:
     """The best ways that end where they begin, those that differ: one search for each start, all starts at once.
 
-    Arguments as in `open_ways`; the last steps lead to the first layer.
+    Arguments as in `open_ways`; the last steps lead to the first layer. Of many first postures every few is a start.
     """
-    value = np.full((nodes[0].shape[1],) * 2, np.inf)
-    np.fill_diagonal(value, 0.0)
+    count = nodes[0].shape[1]
+    starts = np.arange(0, count, max(1, -(-count // STARTS)))
+    value = np.full((len(starts), count), np.inf)
+    value[np.arange(len(starts)), starts] = 0.0
     back: list[Array] = []
     for k, step in enumerate(steps):
         value, via = _relaxed_all(value, step, nodes[(k + 1) % len(nodes)].shape[1])
         back.append(via)
-    totals = value.diagonal()
+    totals = value[np.arange(len(starts)), starts]
     ways: list[Array] = []
     for start in np.argsort(totals, kind="stable")[: 20 * most].tolist():
         if not np.isfinite(totals[start]):
             break
-        index, row = start, list[Array]()
+        index, row = int(starts[start]), list[Array]()
         for k in range(len(steps) - 1, -1, -1):
             index = int(back[k][start, index])
             row.append(nodes[k][:, index])

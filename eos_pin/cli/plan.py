@@ -29,9 +29,9 @@ from eos_pin.experiments.options import RobotOptions, TaskOptions
 
 if TYPE_CHECKING:
     from eos_pin.planning.obstacles.bodies import Bodies
+    from eos_pin.planning.obstacles.scene import Scene
     from eos_pin.planning.planner import Progress as Report
     from eos_pin.planning.plans import Plan
-    from eos_pin.planning.obstacles.scene import Scene
     from eos_pin.robot.model import Robot
     from eos_pin.tasks.base import Task
     from eos_pin.trajectories.base import Trajectory
@@ -163,8 +163,8 @@ def plan(
       eos-pin plan panda --path path.csv --task pose --scene boxes.yaml --self-collision --csv joints.csv
       eos-pin track panda --plan circle.npz
     """
-    from eos_pin.planning.planner import plan as planned
     from eos_pin.planning.obstacles.scene import read_scene
+    from eos_pin.planning.planner import plan as planned
 
     files = output.within(
         None, names={"json": "plan.json", "csv": "joints.csv", "html": "replay.html", "plot": "plan.png"}

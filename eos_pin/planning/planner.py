@@ -12,15 +12,16 @@ import numpy as np
 
 from eos_pin._arrays import Array, VectorLike
 from eos_pin.errors import InputError, PlanError
-from eos_pin.planning.obstacles.bodies import Bodies
 from eos_pin.planning.courses import Mended, broken_at, mended, prolonged
 from eos_pin.planning.grid import Grid, grid_of
+from eos_pin.planning.obstacles.bodies import Bodies
+from eos_pin.planning.obstacles.scene import Scene
 from eos_pin.planning.plans import Plan
 from eos_pin.planning.problem import PostureCost, Problem, given, problem_of, told
 from eos_pin.planning.refine import Course, refine, without_bounds
 from eos_pin.planning.report import figures
-from eos_pin.planning.obstacles.scene import Scene
 from eos_pin.planning.search import Failure, Layers
+from eos_pin.planning.whole import WholeLayers
 from eos_pin.tasks.base import PointLike, Task
 from eos_pin.tasks.batch import Manifold
 from eos_pin.trajectories.base import Trajectory
@@ -33,6 +34,10 @@ POSTURES = (60, 100, 240, 120)
 STRATEGIES = 4
 #: How many times the points of a path are doubled where the joints between them are not clear.
 FINER = 2
+#: Most layers of a closed path at first.
+LAYERS = 150
+#: How many times as far apart layers may be that hold whole manifolds.
+WHOLE = 2
 #: Weights of the barriers while ways are compared.
 ROUGH = (0.3, 0.03)
 
@@ -201,6 +206,11 @@ class _Search:
 
     def run(self, effort: int) -> Array | None:
         """Joints at the points of the path, or None."""
+        if self.problem.r == 1 and self.grid.closed and self.start is None and not self.reconfigurations:
+            for stride in dict.fromkeys((WHOLE * self.grid.stride, self.grid.stride)):
+                self._whole(stride)
+                if self.best is not None:
+                    return self.best
         for attempt in self._attempts(effort):
             self._attempt(attempt)
             if self.best is not None:
@@ -210,12 +220,22 @@ class _Search:
     def _attempts(self, effort: int) -> list[Attempt]:
         count = POSTURES[min(self.problem.r, len(POSTURES) - 1)]
         coarse = self.grid.stride
+        if self.grid.closed:
+            coarse = max(coarse, len(self.grid.Z) // LAYERS)
         attempts = [] if self.reconfigurations else [Attempt(coarse, count, False)]
         bounded = self.step is not None
         for i in range(effort):
             stride = 1 if bounded or self.reconfigurations else max(1, coarse >> (i + 1))
             attempts.append(Attempt(stride, int(1.5 * count) * 2**i, bounded, i + 1))
         return attempts
+
+    def _whole(self, stride: int) -> None:
+        """Search whole manifolds for closed ways."""
+        grid, problem = self.grid, self.problem
+        rows = grid.rows(stride)
+        dt, total = grid.dt_between(rows), 2 * len(rows)
+        whole = WholeLayers(problem, grid.Z[rows], dt, self.seed, lambda done: self.progress("search", done / total))
+        self._take(whole.ways(self.most), Course(problem, whole.Z, dt, True), rows, stride > 1)
 
     def _attempt(self, attempt: Attempt) -> None:
         grid, problem = self.grid, self.problem
@@ -235,8 +255,11 @@ class _Search:
         if not ways:
             self.notes.append("the postures that were found do not lead back to where they began")
             return
-        coarse = Course(problem, layers.Z, dt, grid.closed, step, *self._fixed)
-        if not self.reconfigurations and attempt.stride > 1:
+        self._take(ways, Course(problem, layers.Z, dt, grid.closed, step, *self._fixed), rows, attempt.stride > 1)
+
+    def _take(self, ways: list[Array], coarse: Course, rows: Array, rough: bool) -> None:
+        """Refine the best of some ways and keep it, if it is better than the best so far."""
+        if not self.reconfigurations and rough:
             ways = [refine(without_bounds(coarse), way, rounds=ROUGH) for way in ways]
         least, tried = np.inf, list[Array]()
         costs = np.array([coarse.cost(way) for way in ways])

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from eos_pin._arrays import Array
@@ -25,6 +26,8 @@ NEIGHBOURS = 12
 INCOMING = 4
 #: Self-motion shorter than this is not looked at halfway.
 SHORT = 0.12
+#: Called with the number of layers done; it may raise to stop.
+Ticked: TypeAlias = Callable[[int], None]
 #: Odd numbers that make one of the coordinates of a cell.
 _HASH = np.random.default_rng(1).integers(1, 2**62, 256) | 1
 
@@ -72,7 +75,7 @@ class Layers:
     jumps: bool = False
     seed: int = 0
     goal: Array | None = None
-    tick: Callable[[int], None] = lambda done: None
+    tick: Ticked = lambda done: None
     nodes: list[Array] = field(default_factory=list)
     steps: list[Steps] = field(default_factory=list)
 
@@ -275,23 +278,13 @@ class Layers:
         elif problem.r < 3:
             far = np.flatnonzero(distance > SHORT)
             near = np.ones(len(start), bool)
-            near[far] = self._connected(there[:, start[far]], new[:, end[far]], self.Z[following])
+            near[far] = connected(problem, there[:, start[far]], new[:, end[far]], self.Z[following])
             start, end = start[near], end[near]
         motion = new[:, end] - Q[:, start]
         cost = (problem.weights[:, None] * motion**2).sum(axis=0) / self.dt[k]
         cost += self.dt[k] * problem.cost(new)[end]
         order = np.argsort(end, kind="stable")
         return Steps(start[order], end[order], cost[order])
-
-    def _connected(self, a: Array, b: Array, z: Array) -> Array:
-        """Whether postures of one task point are connected: halfway between them there is one, which is allowed."""
-        middle = 0.5 * (a + b)
-        on, found = self.problem.manifold.project(middle, z[:, None], iterations=6, tol=1e-8)
-        scale = self.problem.scale[:, None]
-        apart, off = (np.abs(x / scale).max(axis=0) for x in (a - b, on - middle))
-        found &= off < 0.35 * apart
-        found[found] = self.problem.allowed(on[:, found])
-        return found
 
     def _failure(self, k: int, live: Array, there: Array, found: Array) -> Failure:
         following = (k + 1) % len(self.Z)
@@ -317,3 +310,24 @@ class Layers:
         first = self.dt[0] * self.problem.cost(self.nodes[0])
         end = None if self.goal is None else 0
         return open_ways(self.nodes, self.steps, self.problem.scale, most, first, end=end, jumps=self.jumps)
+
+
+def connected(
+    problem: Problem, a: Array, b: Array, z: Array, home: Callable[[Array], Array] = lambda Q: Q
+) -> Bool[Array, " K"]:
+    """Whether postures of one task point are connected: halfway between them there is one, which is allowed.
+
+    Args:
+        problem: What is allowed.
+        a: Postures, (n, K).
+        b: As many others.
+        z: Task point.
+        home: Turns postures by whole turns to where limits are looked at.
+    """
+    middle = 0.5 * (a + b)
+    on, found = problem.manifold.project(middle, z[:, None], iterations=6, tol=1e-8)
+    scale = problem.scale[:, None]
+    apart, off = (np.abs(x / scale).max(axis=0) for x in (a - b, on - middle))
+    found &= off < 0.35 * apart
+    found[found] = problem.allowed(home(on[:, found]))
+    return found

@@ -15,9 +15,9 @@ from eos_pin.control.joining import FollowPlan, distances, journey
 from eos_pin.control.objectives import FollowJoints
 from eos_pin.errors import PlanError, ResultError
 from eos_pin.planning.obstacles.bodies import Bodies, Clearances
+from eos_pin.planning.obstacles.scene import Box, Capsule, Mesh, Scene, read_scene, sphere
 from eos_pin.planning.planner import plan
 from eos_pin.planning.plans import Plan
-from eos_pin.planning.obstacles.scene import Box, Capsule, Mesh, Scene, read_scene, sphere
 from eos_pin.tasks import batch as kinematics
 from eos_pin.tasks.batch import Manifold, log3
 from eos_pin.trajectories.pace import Clock, PacedJoints, PacedPath
