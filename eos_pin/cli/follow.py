@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from eos_pin._arrays import JointVector
 from eos_pin.errors import InputError
 from eos_pin.experiments.options import ControlOptions
 
 if TYPE_CHECKING:
-    from eos_pin.control.objectives import FollowJoints
+    from eos_pin.control.following import FollowJoints
     from eos_pin.planning.plans import Plan
     from eos_pin.robot.model import Robot
     from eos_pin.simulation.result import Result
@@ -37,12 +37,6 @@ class Planned:
     q: JointVector
     dq: JointVector
 
-    def distance(self, result: Result) -> float:
-        """Largest difference of a joint from the plan in a run [rad or m]."""
-        from eos_pin.control.joining import distances
-
-        return float(distances(self.law.joints, result.t, result.q).max()) if len(result.t) else 0.0
-
 
 def loaded_plan(robot: Robot, file: Path, q0: JointVector | None, control: ControlOptions) -> Planned:
     """Plan from a file, joined from q0 where that is given."""
@@ -59,30 +53,18 @@ def made_plan(task: Task, path: Trajectory, start: JointVector | None, control: 
 
 
 def _followed(plan: Plan, q0: JointVector | None, control: ControlOptions) -> Planned:
+    from eos_pin.control.following import FollowPlan
     from eos_pin.control.joining import journey
-    from eos_pin.control.objectives import FollowJoints
 
     if control.controller not in ("eos", "eos-limited"):
         raise InputError(f"a plan is followed by the controllers eos and eos-limited, not by {control.controller!r}")
-    gains = {"kp": control.kp_self_motion, "kd": control.kd_self_motion}
+    gains: dict[str, Any] = {"kp": control.kp_self_motion, "kd": control.kd_self_motion}
     if q0 is not None:
         way = journey(plan, q0)
         first = way.joints(0.0)
-        return Planned(plan.task, way.path, FollowJoints(way.joints, **gains), first.q, first.dq)
+        return Planned(plan.task, way.path, way.law(**gains), first.q, first.dq)
     first = plan(0.0)
-    return Planned(plan.task, plan.path, FollowJoints(plan, **gains), first.q, first.dq)
-
-
-def plan_note(result: Result, motion: Planned) -> str:
-    """How far the joints were from the plan, and a warning where they ended away from it."""
-    from eos_pin.control.joining import off_plan
-
-    if not len(result.t):
-        return ""
-    away = off_plan(motion.law.joints, result.t, result.q)
-    return f"Largest distance of a joint from the plan: {motion.distance(result):.3g} rad or m." + (
-        f" Warning: {away}." if away else ""
-    )
+    return Planned(plan.task, plan.path, FollowPlan(plan, **gains), first.q, first.dq)
 
 
 def repeat_note(robot: Robot, result: Result, self_motion: str) -> str:

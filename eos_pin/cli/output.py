@@ -270,6 +270,10 @@ def run_table(summary: Mapping[str, Any]) -> Table:
     if any(summary["joint_turns_per_cycle"]):
         turns = ", ".join(map(str, summary["joint_turns_per_cycle"]))
         table.add_row("whole turns of a joint, cycle by cycle", turns)
+    if summary["joint_distance"]:
+        apart = summary["joint_distance"]
+        told = f"{format_number(apart['max'])} rad or m, at the end {format_number(apart['end'])}"
+        table.add_row("joints off the plan, at most", told)
     table.add_row("chart switches", str(summary["chart_switches"]))
     if summary["given_up_seconds"]:
         table.add_row("part of the task given up", f"{format_number(summary['given_up_seconds'])} s")

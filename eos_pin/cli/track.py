@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eos_pin.cli.follow import Planned, loaded_plan, made_plan, plan_note, repeat_note
+from eos_pin.cli.follow import Planned, loaded_plan, made_plan, repeat_note
 from eos_pin.cli.output import (
     Output,
     console,
@@ -92,11 +92,10 @@ def track(
     files = output.within(Path("runs") / f"{Path(robot.robot).stem}-{task.task}", names=names)
     summary = result.summary()
     console.print(run_table(summary))
-    note = plan_note(result, motion) if motion else repeat_note(machine, result, control.self_motion)
+    note = "" if motion else repeat_note(machine, result, control.self_motion)
     if note:
         stderr.print(note, soft_wrap=True)
-    figures = summary | {"plan_distance_max": motion.distance(result)} if motion else summary
-    print_files(write_outputs(files, result, machine, figures=figures))
+    print_files(write_outputs(files, result, machine, figures=summary))
     return 0 if result.ok else 1
 
 

@@ -1,14 +1,14 @@
 from .base import Controller as Controller
 from .base import OpenLoop as OpenLoop
 from .eos import EosController as EosController
-from .joining import FollowPlan as FollowPlan
+from .following import FollowJoints as FollowJoints
+from .following import FollowPlan as FollowPlan
 from .joining import journey as journey
 from .limited import JointLimits as JointLimits
 from .limited import LimitedEosController as LimitedEosController
 from .loop import ControlLoop as ControlLoop
 from .objectives import Damp as Damp
 from .objectives import DescendPotential as DescendPotential
-from .objectives import FollowJoints as FollowJoints
 from .objectives import Objective as Objective
 from .objectives import Posture as Posture
 from .objectives import ReduceKineticEnergy as ReduceKineticEnergy

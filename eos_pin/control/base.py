@@ -162,6 +162,15 @@ class Controller(ABC):
         """
         return ""
 
+    def joint_distances(self, t: Vector, q: Float[Array, "T n"]) -> Vector | None:
+        """Largest difference of a joint from joints that are followed, at each time [rad or m]; None where none are.
+
+        Args:
+            t: Times [s], (T,).
+            q: Joints, (T, n).
+        """
+        return None
+
     @property
     def unset(self) -> tuple[str, ...]:
         """Names among `task` and `reference` that neither the class nor its constructor has set, not even to None."""

@@ -6,11 +6,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from eos_pin._arrays import (
+    Array,
     Jacobian,
     JointVector,
     TaskVector,
+    Vector,
     VectorLike,
     frozen_copy,
     vector,
@@ -116,6 +119,7 @@ class EosController(TaskController):
         except ValueError as error:
             raise InputError(f"the self-motion objective does not fit this robot and task: {error}") from error
         vector(F_v, chart.r, f"what {type(self.self_motion).__name__} asks of the self-motion")
+        self.self_motion.check_start(t, q, chart)
 
     def _memory(self, chart: Chart, number: int) -> EosState:
         return EosState(number=number, **self._made(chart))
@@ -249,6 +253,9 @@ class EosController(TaskController):
 
     def chart(self, state: EosState) -> Chart:
         return state.chart
+
+    def joint_distances(self, t: Vector, q: Float[Array, "T n"]) -> Vector | None:
+        return self.self_motion.joint_distances(t, q, self.robot)
 
     def self_motion_target(self, t: float, state: EosState) -> Target | None:
         """Self-motion that is tracked at time t; None if the objective tracks none."""

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from eos_pin._arrays import Array, VectorLike, vector
-from eos_pin.control.objectives import FollowJoints
+from eos_pin.control.following import FollowJoints
 from eos_pin.errors import PlanError
 from eos_pin.planning.grid import UNLIMITED
 from eos_pin.planning.planner import plan as planned
 from eos_pin.planning.plans import Plan
-from eos_pin.robot.model import Robot
 from eos_pin.trajectories.base import JointTarget, Target, Trajectory
 from eos_pin.trajectories.pace import Clock, PacedJoints, PacedPath
 from eos_pin.trajectories.through import WaypointPath
@@ -25,35 +24,6 @@ NEAR = 1e-3
 PACE, SHORTEST = 0.3, 1.0
 #: Points of a motion that joins.
 POINTS = 25
-
-
-class FollowPlan(FollowJoints):
-    """Follow a plan, at its own pace or that of a clock.
-
-    Args:
-        plan: The plan.
-        robot: The robot that is controlled; it must be the one of the plan.
-        clock: Pace; see `Clock`.
-        kp: Gain, one number or (n,) [1/s²].
-        kd: Damping, one number or (n,) [1/s].
-
-    Raises:
-        PlanError: The plan is for another robot, tool or payload.
-    """
-
-    def __init__(
-        self,
-        plan: Plan,
-        robot: Robot | None = None,
-        *,
-        clock: Clock | None = None,
-        kp: float | VectorLike = 100.0,
-        kd: float | VectorLike = 20.0,
-    ) -> None:
-        if robot is not None:
-            plan.check(robot)
-        self.plan = plan
-        super().__init__(PacedJoints(plan, clock) if clock else plan, kp=kp, kd=kd)
 
 
 @dataclass(frozen=True)
@@ -100,6 +70,10 @@ class Journey:
     joints: Callable[[float], JointTarget]
     clock: Clock
 
+    def law(self, **gains: Any) -> FollowJoints:
+        """Law of the self-motion that follows it; gains as for `FollowJoints`."""
+        return FollowJoints(self.joints, **gains)
+
 
 def journey(plan: Plan, q: VectorLike, **options: Any) -> Journey:
     """Way from joints onto a plan.
@@ -116,6 +90,7 @@ def journey(plan: Plan, q: VectorLike, **options: Any) -> Journey:
         PlanError: No motion leads there: the joints lie on another component of the manifold, or something is in the
             way. The task would follow the path all the same, but the joints would stay away from the plan.
     """
+    plan.check_continuous()
     joints = vector(q, plan.robot.n, "q")
     begin = plan(plan.start).q
     if np.abs(joints - begin).max() <= NEAR:
@@ -142,7 +117,7 @@ def journey(plan: Plan, q: VectorLike, **options: Any) -> Journey:
     # The speed of a motion of least jerk is 15/8 of its mean at the middle.
     seconds = max(1.875 * fastest * length / PACE, SHORTEST)
     ease = Ease(found.start, length, seconds)
-    clock = Clock(0.0, plan.start - 0.0, 0.0)
+    clock = Clock(0.0, plan.start, 0.0)
     clock.set_speed(seconds, 1.0)
     first: tuple[Any, Any] = _paced(found, ease)
     second = PacedPath(plan.path, clock), PacedJoints(plan, clock)
@@ -186,14 +161,3 @@ def _paced(plan: Plan, ease: Ease) -> tuple[Callable[[float], Target], Callable[
 def distances(joints: Callable[[float], Any], t: Array, q: Array) -> Array:
     """Largest difference of a joint from where it should be, at each time of a run [rad or m]."""
     return np.array([float(np.abs(joints(float(s))[0] - row).max()) for s, row in zip(t, q, strict=True)])
-
-
-def off_plan(joints: Callable[[float], Any], t: Array, q: Array, *, tol: float = 1e-2) -> str:
-    """Sentence about a run that ended away from its plan; empty where it did not."""
-    left = float(distances(joints, t[-1:], q[-1:])[0])
-    if left <= tol:
-        return ""
-    return (
-        f"the joints ended {left:.3g} rad or m away from the plan, although the task may be followed: they are on "
-        "another component of the self-motion, or the plan is faster than the robot. Join the plan first"
-    )

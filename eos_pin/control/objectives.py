@@ -12,7 +12,10 @@ from functools import cached_property
 from typing import Any, Literal
 from weakref import WeakSet
 
+from jaxtyping import Float
+
 from eos_pin._arrays import (
+    Array,
     JointVector,
     NonNegative,
     SelfMotionVector,
@@ -58,6 +61,17 @@ class Objective(ABC):
 
     def add_user(self, controller: Any) -> None:  # noqa: B027 - most have nothing to tell
         """Note a controller whose `renew()` is to be called when the values of `held_law` change."""
+
+    def check_start(self, t: float, q: JointVector, chart: Chart) -> None:  # noqa: B027 - most begin anywhere
+        """Refuse joints at the start, or a robot or task, that the law is not made for.
+
+        Raises:
+            PlanError: It follows joints that are far away, or those of another robot or task.
+        """
+
+    def joint_distances(self, t: Float[Array, " T"], q: Float[Array, "T n"], robot: Robot) -> Float[Array, " T"] | None:
+        """Largest difference of a joint from the joints that are followed, at each time; None where none are."""
+        return None
 
     def check(self, n: int, r: int) -> None:  # noqa: B027 - most fit any
         """Refuse a robot or a task that it does not fit.
@@ -214,55 +228,6 @@ class Posture(Objective):
             raise InputError(f"the posture has {self.q.size} joints, the robot {n}")
 
 
-class FollowJoints(Objective):
-    """Follow joints q_d(t) that have the task's point at every time: F_v = Wᵀ(q̈_d + kd (q̇_d − q̇) + kp (q_d − q)).
-
-    On every chart the error in v then obeys ε̈ + kd ε̇ + kp ε = 0, so that the joints follow from nearby, whichever
-    charts are used. From another component of the self-motion manifold they do not: z and v come to rest without any
-    error while the joints stay away, so `distance` is to be watched.
-
-    Args:
-        joints: Function of time [s] that returns q_d, its velocity and its acceleration.
-        kp: Gain, one number or (n,) [1/s²].
-        kd: Damping, one number or (n,) [1/s]; 2 √kp is critically damped.
-    """
-
-    def __init__(
-        self,
-        joints: Callable[[float], tuple[JointVector, JointVector, JointVector]],
-        *,
-        kp: float | VectorLike = 100.0,
-        kd: float | VectorLike = 20.0,
-    ) -> None:
-        self.joints = joints
-        n = len(joints(0.0)[0])
-        self.kp, self.kd = (frozen_copy(gains(k, n, "a gain on joints")) for k in (kp, kd))
-        self._last: tuple[float, tuple[JointVector, JointVector, JointVector]] | None = None
-
-    def at(self, t: float) -> tuple[JointVector, JointVector, JointVector]:
-        """Joints, velocities and accelerations at time t; that of the last call is kept."""
-        last = self._last
-        if last is None or last[0] != t:
-            last = self._last = t, self.joints(t)
-        return last[1]
-
-    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        q_d, dq_d, ddq_d = self.at(t)
-        return chart._dv(ddq_d + self.kd * (dq_d - dq) + self.kp * chart.task.robot._way(q, q_d))
-
-    def target_on(self, t: float, chart: Chart) -> Target:
-        q_d, dq_d, ddq_d = self.at(t)
-        return Target(chart._v(q_d), chart._dv(dq_d), chart._dv(ddq_d))
-
-    def distance(self, t: float, q: JointVector) -> float:
-        """Largest difference of a joint from where it should be [rad or m]."""
-        return float(abs(self.at(t)[0] - q).max())
-
-    def check(self, n: int, r: int) -> None:
-        if self.kp.size != n:
-            raise InputError(f"the joints to follow are {self.kp.size}, the robot has {n}")
-
-
 @checked
 @dataclass(frozen=True, eq=False)
 class ReduceKineticEnergy(Objective):
@@ -341,6 +306,14 @@ class SumObjective(Objective):
 
     def target_on(self, t: float, chart: Chart) -> Target | None:
         return next((target for part in self.parts if (target := part.target_on(t, chart)) is not None), None)
+
+    def check_start(self, t: float, q: JointVector, chart: Chart) -> None:
+        for part in self.parts:
+            part.check_start(t, q, chart)
+
+    def joint_distances(self, t: Float[Array, " T"], q: Float[Array, "T n"], robot: Robot) -> Float[Array, " T"] | None:
+        found = (part.joint_distances(t, q, robot) for part in self.parts)
+        return next((apart for apart in found if apart is not None), None)
 
     def check(self, n: int, r: int) -> None:
         for part in self.parts:

@@ -150,7 +150,7 @@ def plan(
         except PlanError as error:
             unclear = error
         else:
-            return replace(made, info=info)
+            return replace(made, info=info, jumps=tuple(search.jumps(q)))
         finer = search.finer(q)
         if finer is None:
             break

@@ -17,6 +17,7 @@ from scipy.linalg import lapack
 from eos_pin._arrays import Array, frozen_copy
 from eos_pin._files import write_atomically
 from eos_pin.errors import InputError, PlanError, ResultError
+from eos_pin.planning.curves import spline
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task, task_from_description
 from eos_pin.tasks.batch import Manifold
@@ -35,7 +36,8 @@ class Plan:
 
     Between its knots q = S(t) + C(t) λ, where S is the cubic spline of the joints at the knots, C that of the
     transposed Jacobians there, and λ solves G(q) = z(t): close to the shortest correction, on no particular chart, so
-    that q, dq and ddq are continuous wherever those of the path are.
+    that q, dq and ddq are continuous wherever those of the path are. At a reconfiguration they jump, in the middle
+    between two knots: each side goes on along the path up to there. No controller follows such a plan as a whole.
 
     Attributes:
         task: The task.
@@ -45,6 +47,7 @@ class Plan:
         closed: Whether it repeats.
         status: `"planned"`, or `"interrupted"` where better joints may have been found later.
         info: What is known about it, in plain values.
+        jumps: Numbers of the knots after which the joints jump.
     """
 
     task: Task
@@ -54,6 +57,7 @@ class Plan:
     closed: bool
     status: str = "planned"
     info: Mapping[str, Any] = field(default_factory=dict)
+    jumps: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "times", frozen_copy(self.times))
@@ -84,19 +88,35 @@ class Plan:
         """Time after which it repeats [s]; infinite if it does not."""
         return self.end - self.start if self.closed else float("inf")
 
+    @property
+    def jump_times(self) -> tuple[float, ...]:
+        """Times at which the joints jump [s]."""
+        return tuple(float(0.5 * (self.times[k] + self.times[k + 1])) for k in self.jumps)
+
+    def check_continuous(self) -> None:
+        """Refuse joints that jump.
+
+        Raises:
+            PlanError: The plan has reconfigurations.
+        """
+        if self.jumps:
+            times = ", ".join(f"{t:.4g}" for t in self.jump_times)
+            raise PlanError(
+                f"the joints of this plan jump {len(self.jumps)} times, at {times} s, which no controller can follow. "
+                "Stop there, move the robot to the joints after the jump, and follow each part by itself; or plan "
+                "without reconfigurations"
+            )
+
     # -- joints at any time --------------------------------------------------------------------------------------------
 
     @cached_property
     def _curve(self) -> tuple[Array, Array]:
         """Knots, and coefficients of the splines of joints and transposed Jacobians, (K − 1, 4, n + n m)."""
-        from scipy.interpolate import CubicSpline
-
         J = Manifold(self.task).jacobians(self.q.T, sampled(self.path, self.times).T).transpose(2, 1, 0)
         values = np.hstack((self.q, J.reshape(len(self.q), -1)))
         if self.closed:
             values[-1] = values[0]
-        curve = CubicSpline(self.times, values, bc_type="periodic" if self.closed else "not-a-knot")
-        return np.array(self.times), np.ascontiguousarray(np.asarray(curve.c).transpose(1, 0, 2))
+        return spline(self.times, values, self.closed, self.jumps)
 
     def _at(self, t: float) -> tuple[Array, Array, Array, Array, Array, Array]:
         """S, C, and their first and second derivatives."""
@@ -229,6 +249,7 @@ class Plan:
             "closed": self.closed,
             "status": self.status,
             "info": dict(self.info),
+            "jumps": list(self.jumps),
             "robot": {"name": robot.name, "source": robot.source, "options": dict(robot.options)},
             "identity": identity(robot),
         }
@@ -276,7 +297,8 @@ class Plan:
                 )
         task = task_from_description(robot, header["task"])
         trajectory = path_from(task, header["path"])
-        return cls(task, trajectory, times, q, header["closed"], header["status"], header["info"])
+        jumps = tuple(header.get("jumps", ()))
+        return cls(task, trajectory, times, q, header["closed"], header["status"], header["info"], jumps)
 
     def table(self, rate: float = 100.0) -> tuple[Array, Array, Array, Array]:
         """Times, joints, velocities and accelerations at `rate` times a second and both ends."""

@@ -34,6 +34,8 @@ from eos_pin.trajectories.base import Trajectory
 _TASK_COLUMNS = ("z", "dz", "z_ref", "error", "task_force", "task_deficit", "deficit_from_limits")
 #: Samples of a run, and joints in all samples together, that are kept at most.
 MOST_SAMPLES, MOST_JOINT_SAMPLES = 1_000_000, 20_000_000
+#: A run that ends with joints this far from those they were to follow has not followed them [rad or m].
+ELSEWHERE = 1e-2
 #: Called with time and joints of every sample of a run: a progress bar, a live view.
 Observer: TypeAlias = Callable[[float, JointVector], None]
 
@@ -145,6 +147,10 @@ class Recorder:
             info=info,
             **names_of(task),
         )
+        apart = controller.joint_distances(run.t, run.q)
+        if apart is not None:
+            joint_distance = {"max": float(apart.max()), "end": float(apart[-1])}
+            run = replace(run, info={**run.info, "joint_distance": joint_distance})
         if not run.ok:
             return replace(run, message=run.message or _not_measured(controller))
         lost = run.deficit_rows
@@ -155,9 +161,11 @@ class Recorder:
             if kind in why
         )
         passed = controller.broken_limits(run.t, run.q, run.dq, run.tau)
+        elsewhere = _elsewhere(apart)
         messages = [passed] * bool(passed) + [f"part of the task was given up {when}"] * bool(lost.any())
+        messages += [elsewhere] * bool(elsewhere)
         # While the controller settles that is to be expected; later the run has not done what it was to do.
-        degraded = passed or lost[run.settled_row :].any()
+        degraded = passed or elsewhere or lost[run.settled_row :].any()
         message = ". Also, ".join(messages) or run.message or _not_measured(controller)
         return replace(run, status="degraded" if degraded else run.status, message=message)
 
@@ -196,6 +204,16 @@ class Recorder:
             error = np.array(list(map(task._minus, z_ref, z)))
         forces = np.array([force.force(row.t) for row in rows], dtype=float) if force else np.zeros_like(dz)
         return dict(zip(_TASK_COLUMNS, (z, dz, z_ref, error, forces, singular + limited, limited), strict=True))
+
+
+def _elsewhere(apart: Array | None) -> str:
+    """Sentence about joints that ended away from those they were to follow; empty where they did not."""
+    if apart is None or apart[-1] <= ELSEWHERE:
+        return ""
+    return (
+        f"the joints ended {apart[-1]:.3g} rad or m away from those they were to follow, whatever the task did: they "
+        "are on another component of the self-motion, still on their way back, or too slow"
+    )
 
 
 def _not_measured(controller: Controller) -> str:

@@ -241,6 +241,7 @@ class Result:
             "task_error_max": _largest(self.error[late]),
             "self_motion_error_max": _largest(self.self_motion_error[late]),
             "joint_drift_per_cycle": [float(d) for d in self.joint_drift_per_cycle],
+            "joint_distance": self.info.get("joint_distance"),
             "joint_turns_per_cycle": [int(d) for d in np.abs(self.turns_per_cycle).max(axis=1, initial=0)],
             "given_up_seconds": self.deficit_seconds,
             "singularities": self.singularities,

@@ -11,8 +11,8 @@ import pytest
 
 from eos_pin import Atlas, EosController, InputError, PoseTask, PositionTask, circle, load_robot, simulate
 from eos_pin._kernels.distances import segment_to_box, segment_to_segment
-from eos_pin.control.joining import FollowPlan, distances, journey
-from eos_pin.control.objectives import FollowJoints
+from eos_pin.control.following import FollowJoints, FollowPlan
+from eos_pin.control.joining import distances, journey
 from eos_pin.errors import PlanError, ResultError
 from eos_pin.planning.obstacles.bodies import Bodies, Clearances
 from eos_pin.planning.obstacles.scene import Box, Capsule, Mesh, Scene, read_scene, sphere
@@ -487,7 +487,7 @@ def test_track_follows_a_plan_and_reports_its_distance(tmp_path, round_trip, cap
     monkeypatch.chdir(tmp_path)
     file, figures = round_trip.save(tmp_path / "plan.npz"), tmp_path / "track.json"
     assert main(["track", "panda", "--plan", str(file), "--duration", "0.5", "--json", str(figures)]) == 0
-    assert json.loads(figures.read_text())["plan_distance_max"] < 1e-6
+    assert json.loads(figures.read_text())["joint_distance"]["max"] < 1e-6
     assert "distance of a joint from the plan" in capsys.readouterr().err
     assert main(["track", "xarm7", "--plan", str(file)]) == 2
     assert "other joints" in capsys.readouterr().err

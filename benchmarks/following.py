@@ -1,0 +1,252 @@
+"""Plans under torque control: `python benchmarks/following.py [repeat|joining|disturbed] …`; each has `--help`.
+
+* `repeat`: closed paths through a random posture within limits, by v that is held, posture control, and planned joints,
+  all from the same joints and velocities on the path: how many repeat within limits from the first round, and how many
+  stay within limits at all.
+* `joining`: from random postures at the first task point of a plan: joined and then repeating, or refused with a
+  reason.
+* `disturbed`: pushes, pauses and changes of speed: how far from the plan the joints are in the end.
+
+Results are kept in the file of `--json` after each case; a run that was stopped goes on from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from eos_pin import (
+    Atlas,
+    EosController,
+    FollowPlan,
+    Plan,
+    PoseTask,
+    PositionTask,
+    Posture,
+    Result,
+    Robot,
+    Task,
+    TaskForce,
+    journey,
+    load_robot,
+    plan,
+    simulate,
+)
+from eos_pin.errors import EosError
+from eos_pin.planning.report import switches
+from eos_pin.tasks.batch import Manifold, ranges
+from eos_pin.trajectories.pace import Clock
+from eos_pin.trajectories.through import waypoint_path
+
+#: Robots and the frame that does the task; of some the tip that the package finds.
+ARMS = {"panda": "panda_hand_tcp", "xarm7": "auto", "kinova": "auto", "talos_full_v2": "gripper_left_base_link"}
+SHAPES = ("circle", "eight", "polygon")
+#: A round repeats where no joint comes back further off than this [rad]; and way points of a path.
+REPEATS, POINTS = 1e-6, 96
+ROUNDS, THRESHOLD = 2, 0.5
+
+
+def curve(shape: str, random: np.random.Generator) -> np.ndarray:
+    """A closed curve of size 1 that begins at the origin, in a random plane, (POINTS + 1, 3)."""
+    s = 2.0 * np.pi * np.arange(POINTS + 1) / POINTS
+    if shape == "circle":
+        flat = np.column_stack((np.cos(s) - 1.0, np.sin(s)))
+    elif shape == "eight":
+        flat = np.column_stack((np.sin(s), 0.5 * np.sin(2.0 * s)))
+    else:
+        # Corners are rounded by leaving the high harmonics of a regular polygon away.
+        sides = int(random.integers(3, 7))
+        z = np.exp(1j * s) + np.exp(1j * (1 - sides) * s) / (sides - 1) ** 2
+        flat = np.column_stack((z.real, z.imag))
+        flat = flat - flat[0]
+    axes = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    return np.asarray(flat @ axes[:, :2].T)
+
+
+def made(number: int, seed: int) -> tuple[Task, Plan | EosError, dict[str, Any]]:
+    """A path of random shape, as large as joints can follow from one way point to the next, and its plan."""
+    name = list(ARMS)[number % len(ARMS)]
+    robot = load_robot(name, chain_to=ARMS[name])
+    frame = str(robot.options["chain_to"])
+    pose = (number // len(ARMS)) % 2 == 1 and robot.n > 6
+    task: Task = PoseTask(robot, frame) if pose else PositionTask(robot, frame)
+    random = np.random.default_rng([seed, number])
+    shape = SHAPES[number % 3]
+    lower, upper = ranges(robot)
+    size, q = 0.6, random.uniform(lower, upper)
+    line = curve(shape, random)
+    manifold = Manifold(task)
+    while True:
+        z = task.value(q)
+        points = np.repeat(z[None], POINTS + 1, axis=0)
+        points[:, :3] += size * line
+        if reachable(manifold, points, q, lower, upper):
+            break
+        size *= 0.8
+        if size < 0.05:
+            size, q = 0.6, random.uniform(lower, upper)
+    path = waypoint_path(task, points, closed=True)
+    row = {"number": number, "robot": name, "task": "pose" if pose else "position", "shape": shape, "size": size}
+    began = time.perf_counter()
+    try:
+        found: Plan | EosError = plan(task, path, closed=True, keep_time=False, seed=seed)
+    except EosError as error:
+        found = error
+    return task, found, row | {"seconds": time.perf_counter() - began}
+
+
+def reachable(manifold: Manifold, points: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
+    """Whether each point has joints within limits that are found from those of the point before."""
+    at = q[:, None]
+    for z in points:
+        at, good = manifold.project(at, z[:, None])
+        if not good[0]:
+            return False
+        if ((at[:, 0] < lower) | (at[:, 0] > upper)).any():
+            starts = np.random.default_rng(0).uniform(lower, upper, (60, len(q))).T
+            other, fine = manifold.search(starts, np.repeat(z[:, None], 60, axis=1), (lower, upper))
+            if not fine.any():
+                return False
+            at = other[:, fine][:, :1]
+    return True
+
+
+def judged(run: Result, robot: Robot) -> dict[str, Any]:
+    """Whether a run stayed within limits, and repeated from the first round on."""
+    inside = bool(run.ok and ((run.q >= robot.lower) & (run.q <= robot.upper)).all())
+    drift = run.joint_drift_per_cycle
+    repeats = bool(inside and len(drift) == ROUNDS and drift.max() <= REPEATS)
+    return {
+        "inside": inside, "repeats": repeats, "drift": [float(d) for d in drift], "switches": len(run.switches),
+        "status": run.status, "message": run.message,
+    }  # fmt: skip
+
+
+def repeat(number: int, seed: int) -> dict[str, Any]:
+    """One path by every method."""
+    task, found, row = made(number, seed)
+    robot = task.robot
+    if isinstance(found, EosError):
+        return row | {"planned": {"inside": False, "repeats": False, "message": str(found)}}
+    start, reference = found(0.0), found.path
+    q = found.joints(np.linspace(found.start, found.end, 200))
+    row["plan_switches"] = switches(task, q, THRESHOLD)
+    laws = {"hold": None, "posture": Posture(start.q), "planned": FollowPlan(found)}
+    for name, law in laws.items():
+        controller = EosController(task, reference, law, atlas=Atlas(task, threshold=THRESHOLD))
+        run = simulate(robot, controller, start.q, dq=start.dq, duration=ROUNDS * found.period, rtol=1e-8, atol=1e-10)
+        row[name] = judged(run, robot)
+    return row
+
+
+def example() -> Plan:
+    """A circle of Panda on which v that is held changes charts."""
+    from eos_pin import circle
+
+    robot = load_robot("panda", chain_to="panda_hand_tcp")
+    return plan(PositionTask(robot, "panda_hand_tcp"), circle([0.7, 0.0, 0.4], 0.3, period=4.0))
+
+
+def joining(number: int, seed: int, found: Plan) -> dict[str, Any]:
+    """From a random posture within limits at the first task point."""
+    task, robot = found.task, found.robot
+    random = np.random.default_rng([seed, number])
+    lower, upper = ranges(robot)
+    manifold = Manifold(task)
+    z = np.repeat(found.path(found.start).z[:, None], 200, axis=1)
+    Q, good = manifold.search(random.uniform(lower, upper, (200, robot.n)).T, z, (lower, upper))
+    q = Q[:, good][:, 0]
+    row: dict[str, Any] = {"number": number, "apart": float(np.abs(q - found(found.start).q).max())}
+    try:
+        way = journey(found, q)
+    except EosError as error:
+        return row | {"outcome": "refused", "message": str(error)}
+    controller = EosController(task, way.path, way.law())
+    run = simulate(robot, controller, q, duration=way.seconds + 0.5 + found.period, rtol=1e-8, atol=1e-10)
+    met = run.info["joint_distance"]
+    return row | {"outcome": "joined" if met["max"] < REPEATS else run.status, "message": run.message, **met}
+
+
+def disturbed(number: int, seed: int, found: Plan) -> dict[str, Any]:
+    """A push at a random time, and a pause and two changes of speed; the run ends three seconds after the last."""
+    random = np.random.default_rng([seed, number])
+    task, clock = found.task, Clock()
+    at, force = random.uniform(0.2, 1.0), random.normal(size=task.m) * 20.0
+    pause, rest = random.uniform(1.0, 1.5), random.uniform(0.6, 1.0)
+    clock.pause(pause)
+    clock.resume(pause + rest, float(random.uniform(0.3, 1.2)))
+    clock.set_speed(pause + rest + 0.6, float(random.uniform(0.3, 1.2)))
+    push = TaskForce(task, lambda t: force * np.exp(-(((t - at) / 0.05) ** 2)))
+    law = FollowPlan(found, clock=clock)
+    run = simulate(
+        found.robot, EosController(task, law.path, law), found(0.0).q, dq=found(0.0).dq, duration=4.5,
+        task_force=push, rtol=1e-8, atol=1e-10,
+    )  # fmt: skip
+    met = run.info["joint_distance"]
+    outcome = "back" if met["end"] < REPEATS else "away"
+    return {"number": number, "outcome": outcome, "message": run.message, **met}
+
+
+def told(command: str, rows: list[dict[str, Any]]) -> Table:
+    """Table of what was found."""
+    table = Table(title=f"{command}: {len(rows)} cases")
+    if command == "repeat":
+        for title in ("method", "repeats within limits", "stays within limits", "paths it was run on"):
+            table.add_column(title)
+        for name in ("hold", "posture", "planned"):
+            met = [row[name] for row in rows if name in row]
+            counts = (sum(m["repeats"] for m in met), sum(m["inside"] for m in met), len(met))
+            table.add_row(name, *map(str, counts))
+        return table
+    for title in ("outcome", "cases", "furthest from the plan at the end"):
+        table.add_column(title)
+    for outcome in sorted({row["outcome"] for row in rows}):
+        met = [row for row in rows if row["outcome"] == outcome]
+        ends = [row["end"] for row in met if "end" in row]
+        table.add_row(outcome, str(len(met)), f"{max(ends):.1e}" if ends else "-")
+    return table
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("command", choices=("repeat", "joining", "disturbed"))
+    parser.add_argument("--count", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    if options.json is not None and options.json.exists():
+        rows = json.loads(options.json.read_text())
+    if options.command == "repeat":
+        case: Callable[[int, int], dict[str, Any]] = repeat
+    else:
+        found, one = example(), joining if options.command == "joining" else disturbed
+        case = lambda number, seed: one(number, seed, found)  # noqa: E731
+    done = {row["number"] for row in rows}
+    for number in range(options.count):
+        if number in done:
+            continue
+        rows.append(case(number, options.seed))
+        if options.json is not None:
+            options.json.write_text(json.dumps(rows, indent=1) + "\n")
+        print(json.dumps(rows[-1])[:400], flush=True)
+    console = Console()
+    console.print(told(options.command, rows))
+    for row in rows:
+        bad = row.get("planned", {})
+        if bad and not bad["repeats"]:
+            console.print(f"{row['number']} {row['robot']} {row['task']} {row['shape']}: {bad['message']}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

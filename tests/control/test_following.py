@@ -1,0 +1,228 @@
+"""The law that follows a plan: rounds, chart changes, pushes, limits, pace, and starts elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from eos_pin import (
+    Atlas,
+    EosController,
+    FollowJoints,
+    FollowPlan,
+    JointLimits,
+    LimitedEosController,
+    MujocoPlant,
+    PoseTask,
+    PositionTask,
+    TaskForce,
+    circle,
+    journey,
+    load_robot,
+    plan,
+    simulate,
+    simulate_sampled,
+)
+from eos_pin.control.joining import distances
+from eos_pin.errors import PlanError
+from eos_pin.tasks.batch import Manifold
+from eos_pin.trajectories.pace import Clock
+
+PERIOD = 4.0
+
+# Long runs.
+pytestmark = pytest.mark.usefixtures("unchecked")
+
+
+@pytest.fixture(scope="module")
+def panda():
+    return load_robot("panda", chain_to="panda_hand_tcp")
+
+
+@pytest.fixture(scope="module")
+def task(panda):
+    return PositionTask(panda, "panda_hand_tcp")
+
+
+@pytest.fixture(scope="module")
+def found(task):
+    """A circle on which v that is held needs several charts a round."""
+    return plan(task, circle([0.7, 0.0, 0.4], 0.3, period=PERIOD))
+
+
+def elsewhere(panda):
+    """A plan for a pose, and joints with its first task point on another component."""
+    task = PoseTask(panda, "panda_hand_tcp")
+    start = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
+    pose = panda.placement(start, "panda_hand_tcp")
+    points = [pin.SE3(pose.rotation, pose.translation + np.array([0.0, y, 0.0])) for y in np.linspace(0.0, 0.1, 5)]
+    made = plan(task, points, start=start)
+    Q, good = Manifold(task).search(
+        np.random.default_rng(0).uniform(panda.lower, panda.upper, (300, 7)).T,
+        np.repeat(task.value(start)[:, None], 300, axis=1),
+        (panda.lower, panda.upper),
+    )
+    return made, next(q for q in Q[:, good].T if abs(q[0] - start[0]) > 1.5)
+
+
+@pytest.mark.parametrize("kind", [EosController, LimitedEosController])
+@pytest.mark.parametrize("mujoco", [False, True])
+def test_rounds_at_1_khz_repeat_over_chart_changes_within_limits(found, task, panda, kind, mujoco):
+    if mujoco:
+        pytest.importorskip("mujoco")
+    plant = MujocoPlant.from_robot(panda) if mujoco else panda
+    controller = kind(task, found.path, FollowPlan(found), atlas=Atlas(task, threshold=0.8))
+    run = simulate_sampled(plant, controller, found(0.0).q, dq=found(0.0).dq, duration=2.0 * PERIOD)
+    assert run.status == "finished"
+    assert len(run.switches) >= 2
+    # A torque that is held for a period lags by half of it, the same in every round.
+    first, second = run.joint_drift_per_cycle
+    assert first < 1e-3
+    assert second < 1e-9
+    assert run.info["joint_distance"]["max"] < 2e-3
+    assert ((run.q > panda.lower) & (run.q < panda.upper)).all()
+
+
+@pytest.mark.parametrize("kind", [EosController, LimitedEosController])
+def test_rounds_in_continuous_time_repeat_from_the_first(found, task, kind):
+    controller = kind(task, found.path, FollowPlan(found), atlas=Atlas(task, threshold=0.8))
+    run = simulate(task.robot, controller, found(0.0).q, dq=found(0.0).dq, duration=2.0 * PERIOD, rtol=1e-8)
+    assert run.joint_drift_per_cycle.max() < 1e-6
+    assert run.info["joint_distance"]["max"] < 1e-6
+
+
+def test_targets_on_both_charts_of_a_change_are_those_of_the_joints(found, task):
+    atlas, law = Atlas(task, threshold=0.8), FollowPlan(found)
+    chart, changes = atlas.start(found(0.0).q), 0
+    for t in np.linspace(0.0, PERIOD, 200):
+        q, dq, ddq = found(t)
+        point = task.at(q, dq)
+        if atlas.holds(chart, point.J):
+            continue
+        before, chart, changes = chart, atlas.next(chart, q), changes + 1
+        for side in (before, chart):
+            v, dv, ddv = law.target_on(t, side)
+            assert np.abs(side.inverse(found.path(t).z, v).q - q).max() < 1e-9
+            assert np.abs(side.acceleration(point.J, point.dz, dv) - dq).max() < 1e-9
+            assert np.abs(side.acceleration(point.J, found.path(t).ddz - point.drift, ddv) - ddq).max() < 1e-8
+    assert changes >= 2
+
+
+def test_joints_return_to_the_plan_after_a_push(found, task, panda):
+    push = TaskForce(task, lambda t: [0.0, 30.0 * (0.5 < t < 0.7), 40.0 * (0.5 < t < 0.7)])
+    controller = EosController(task, found.path, FollowPlan(found))
+    run = simulate(panda, controller, found(0.0).q, dq=found(0.0).dq, duration=PERIOD, task_force=push, rtol=1e-8)
+    apart = distances(found, run.t, run.q)
+    assert apart.max() > 1e-2
+    assert apart[-1] < 1e-6
+
+
+def test_joints_return_to_the_plan_after_velocity_limits_held_them_back(found, task, panda):
+    fastest = np.abs([found(t).dq for t in np.linspace(0.0, PERIOD, 400)]).max(axis=0)
+    limits = JointLimits.from_robot(panda, velocity=0.97 * np.where(fastest == fastest.max(), fastest, 10.0))
+    controller = LimitedEosController(task, found.path, FollowPlan(found), limits=limits)
+    times = np.linspace(0.0, PERIOD, 400)
+    peak = times[np.abs([found(t).dq for t in times]).max(axis=1).argmax()]
+    run = simulate_sampled(panda, controller, found(0.0).q, dq=found(0.0).dq, duration=peak + 3.0)
+    assert distances(found, run.t, run.q).max() > 2e-3
+    held = distances(found, run.t, run.q)[-1]
+    free = simulate_sampled(
+        panda, EosController(task, found.path, FollowPlan(found)), found(0.0).q, dq=found(0.0).dq, duration=peak + 3.0
+    )
+    assert abs(held - distances(found, free.t, free.q)[-1]) < 1e-6
+
+
+def test_joints_stay_on_the_plan_through_a_pause_and_another_speed(found, task, panda):
+    clock = Clock()
+    clock.pause(0.5)
+    clock.resume(1.5, 0.5)
+    clock.set_speed(3.0, 1.3)
+    law = FollowPlan(found, clock=clock)
+    run = simulate(
+        panda, EosController(task, law.path, law), found(0.0).q, dq=found(0.0).dq, duration=PERIOD, rtol=1e-8
+    )
+    assert run.info["joint_distance"]["max"] < 1e-6
+    resting = run.q[(run.t > 1.1) & (run.t < 1.5)]
+    assert np.ptp(resting, axis=0).max() < 1e-6
+    assert np.abs(run.q[-1] - found(clock(PERIOD)[0]).q).max() < 1e-6
+
+
+def test_start_on_another_component_is_refused_and_a_run_from_there_reports(panda):
+    made, away = elsewhere(panda)
+    controller = EosController(made.task, made.path, FollowPlan(made))
+    with pytest.raises(PlanError, match="Join them first"):
+        simulate(panda, controller, away, duration=1.0)
+    with pytest.raises(PlanError, match="cannot join the plan"):
+        journey(made, away)
+    forced = EosController(made.task, made.path, FollowPlan(made, within=10.0))
+    run = simulate(panda, forced, away, duration=4.0)
+    assert run.status == "degraded"
+    assert "away from those they were to follow" in run.message
+    assert np.abs(run.error[-1]).max() < 1e-3
+
+
+def test_joints_that_were_joined_repeat(found, task, panda):
+    near = found(0.0).q + np.array([0.0, 0.2, -0.8, 0.1, 0.9, 0.1, 0.3])
+    Q, good = Manifold(task).project(near[:, None], found.path(0.0).z[:, None])
+    assert good[0]
+    way = journey(found, Q[:, 0])
+    controller = EosController(task, way.path, way.law())
+    run = simulate(panda, controller, Q[:, 0], duration=way.seconds + 0.5 + 2.0 * PERIOD, rtol=1e-8)
+    assert run.info["joint_distance"]["max"] < 1e-6
+    assert np.abs(run.q[-1] - found(way.clock(float(run.t[-1]))[0]).q).max() < 1e-6
+
+
+def test_plan_is_refused_for_another_robot_or_task(found, panda):
+    heavier = load_robot("panda", chain_to="panda_hand_tcp", payload={"mass": 1.0, "frame": "panda_hand_tcp"})
+    for robot, frame, message in ((heavier, "panda_hand_tcp", "other masses"), (panda, "panda_link8", "for the task")):
+        controller = EosController(PositionTask(robot, frame), found.path, FollowPlan(found, within=10.0))
+        with pytest.raises(PlanError, match=message):
+            simulate(robot, controller, found(0.0).q, duration=0.1)
+
+
+# -- joints that jump --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def jumping(task, found):
+    """Two branches of one path: those of the plan up to its middle, and further on those with the wrist turned."""
+    K = len(found.times)
+    middle = K // 2
+    q = found.q.copy()
+    q[middle:, 6] += 0.5
+    return replace(found, q=q, closed=False, jumps=(middle - 1,))
+
+
+def test_plan_that_jumps_has_its_task_point_on_both_sides_and_jumps_once(jumping, task):
+    (where,) = jumping.jump_times
+    times = np.linspace(jumping.start, jumping.end, 301)
+    for t in (*times, where - 1e-9, where):
+        assert np.abs(task.minus(task.value(jumping(t).q), jumping.path(t).z)).max() < 1e-9
+    assert np.abs(jumping(where).q - jumping(where - 1e-9).q).max() == pytest.approx(0.5, abs=0.1)
+    steps = np.abs(np.diff(jumping.joints(times), axis=0)).max(axis=1)
+    assert (steps > 0.3).sum() == 1
+    assert np.abs(jumping.joints(np.array([1.234]))[0] - jumping(1.234).q).max() < 1e-9
+    h = 1e-5
+    for t in (where - 0.01, where + 0.01):
+        assert np.abs((jumping(t + h).q - jumping(t - h).q) / (2 * h) - jumping(t).dq).max() < 1e-6
+
+
+def test_plan_that_jumps_is_saved_and_exported_but_not_followed(jumping, tmp_path):
+    again = type(jumping).load(jumping.save(tmp_path / "plan.npz"))
+    assert again.jump_times == jumping.jump_times
+    assert np.isfinite(np.loadtxt(jumping.to_csv(tmp_path / "q.csv"), delimiter=",", skiprows=1)).all()
+    with pytest.raises(PlanError, match="jump 1 times"):
+        FollowPlan(jumping)
+    with pytest.raises(PlanError, match="jump 1 times"):
+        journey(jumping, jumping.q[0])
+
+
+def test_follow_joints_counts_no_full_turns_of_continuous_joints(kinova):
+    q = np.full(6, 0.1)
+    law = FollowJoints(lambda t: (q, 0.0 * q, 0.0 * q))
+    turned = q + 2.0 * np.pi * kinova.continuous
+    assert law.distance(0.0, turned, kinova) < 1e-9
+    assert law.distance(0.0, turned) > 6.0
