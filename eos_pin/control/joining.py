@@ -12,6 +12,7 @@ from eos_pin._arrays import Array, VectorLike, vector
 from eos_pin.control.following import FollowJoints
 from eos_pin.errors import PlanError
 from eos_pin.planning.grid import UNLIMITED
+from eos_pin.planning.planner import MARGIN
 from eos_pin.planning.planner import plan as planned
 from eos_pin.planning.plans import Plan
 from eos_pin.trajectories.base import JointTarget, Target, Trajectory
@@ -99,6 +100,9 @@ def journey(plan: Plan, q: VectorLike, **options: Any) -> Journey:
     task = plan.task
     z0, z1 = task._value(joints), plan.path(plan.start).z
     way = task._minus(z1, z0)
+    # A robot that stands near a limit may leave it from there.
+    room = min(float(np.minimum(row - plan.robot.lower, plan.robot.upper - row).min()) for row in (joints, begin))
+    options = {"margin": max(0.0, min(MARGIN, 0.99 * room)), **options}
     parts = np.linspace(0.0, 1.0, POINTS)
     points = np.array([task._plus(z0, part * way) for part in parts])
     line = WaypointPath(task, points, parts)
