@@ -4,6 +4,8 @@ from .eos import EosController as EosController
 from .following import FollowJoints as FollowJoints
 from .following import FollowPlan as FollowPlan
 from .joining import journey as journey
+from .kinematic import Command as Command
+from .kinematic import KinematicLoop as KinematicLoop
 from .limited import JointLimits as JointLimits
 from .limited import LimitedEosController as LimitedEosController
 from .loop import ControlLoop as ControlLoop

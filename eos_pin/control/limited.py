@@ -50,6 +50,9 @@ ROOM = 10.0
 POSITION, VELOCITY = 1e-5, 1e-3
 #: A torque counts as used up from this part of its limit on; and time before a limit is passed that tells why [s].
 USED_UP, BEFORE = 0.999, 0.05
+#: Without limits of acceleration: time from rest to the velocity limit [s], and acceleration where there is none
+#: [rad/s² or m/s²].
+RAMP, ACCELERATION = 0.25, 10.0
 #: Where each joint may be accelerated by this much more than it is, limits are not looked at more closely
 #: [rad/s² or m/s²].
 CLEAR = 20.0
@@ -126,6 +129,34 @@ class JointLimits:
             acceleration=most,
             braking=np.minimum(chosen(braking, "braking", sure), most),
             torque=most_torque,
+        )
+
+    @classmethod
+    def without_torques(
+        cls,
+        robot: Robot,
+        *,
+        velocity: float | VectorLike | None = None,
+        acceleration: float | VectorLike | None = None,
+        position_margin: float = 0.0,
+    ) -> JointLimits:
+        """Limits for commands of position or velocity, where the robot sees to its torques; no inertia is needed.
+
+        Args:
+            robot: The robot.
+            velocity: Velocity limits instead of the robot's own.
+            acceleration: Acceleration limits, also for braking; by default those that reach the velocity limit within
+                `RAMP` seconds, and `ACCELERATION` where there is none.
+            position_margin: Distance kept from the position limits [rad or m].
+
+        Raises:
+            InputError: A limit is not positive, or the margin leaves no room.
+        """
+        fastest = robot.velocity if velocity is None else broadcast(velocity, robot.n, "the velocity limits")
+        usual = np.where(np.isfinite(fastest), fastest / RAMP, ACCELERATION)
+        most = usual if acceleration is None else acceleration
+        return cls.from_robot(
+            robot, velocity=velocity, acceleration=most, braking=most, position_margin=position_margin
         )
 
     def accelerations(self, q: JointVector, dq: JointVector, period: float) -> tuple[JointVector, JointVector]:

@@ -1,0 +1,94 @@
+"""Laws of errors in exact samples, and targets of the self-motion a period ahead, for `KinematicLoop`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from eos_pin._arrays import JointVector, SelfMotionVector
+from eos_pin.charts.chart import Chart
+from eos_pin.control.objectives import FollowJoints, Objective, Track
+from eos_pin.robot.model import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class SelfTargets:
+    """Targets of the self-motion, v or joints, around one step; none for a law that is an acceleration.
+
+    Attributes:
+        of: Whose targets they are.
+        period: Control period [s].
+        now: Target at the step.
+        ahead: Target a period later.
+        before: Target a period before, by its velocity.
+        factors: Both factors of `decay`; None for a law that is an acceleration.
+        joints: Whether the targets are joints.
+    """
+
+    of: object
+    period: float
+    now: Any = None
+    ahead: Any = None
+    before: Any = None
+    factors: Any = None
+    joints: bool = False
+
+    def acceleration(self, robot: Robot, chart: Chart, q: JointVector, u: JointVector, before: Any) -> SelfMotionVector:
+        """Acceleration asked of v over the period.
+
+        Args:
+            robot: The robot.
+            chart: The chart.
+            q: Joints.
+            u: Their velocities over the period before.
+            before: Target at the step before.
+        """
+        h, (a1, a2) = self.period, self.factors
+        if self.joints:
+            # Differences, as the way to a posture half a turn off is shortened.
+            error = robot._way(q, self.now)
+            left = a1 * error - a2 * robot._way(q - h * u, before)
+            return chart._dv(self.ahead - self.now + error - left - h * u) / h**2
+        v, moved = chart._v(q), h * chart._dv(u)
+        left = a1 * (self.now - v) - a2 * (before - v + moved)
+        return (self.ahead - left - v - moved) / h**2
+
+
+def self_targets(law: Objective, t: float, period: float, r: int) -> SelfTargets:
+    """Targets of a law of the self-motion around time t.
+
+    Args:
+        law: The law.
+        t: Time [s].
+        period: Control period [s].
+        r: Degree of redundancy.
+    """
+    if isinstance(law, FollowJoints):
+        (now, velocity, _), (ahead, _, _) = law.at(t), law.joints(t + period)
+        factors = decay(law.kp, law.kd, period)
+        return SelfTargets(law.joints, period, now, ahead, now - period * velocity, factors, joints=True)
+    # A law of one's own counts.
+    if type(law) is Track:
+        kp, kd, reference = law.law(r)
+        if (held := reference.constant) is not None:
+            return SelfTargets(reference, period, held, held, held, decay(kp, kd, period))
+        at, later = reference(t), reference(t + period)
+        return SelfTargets(reference, period, at.z, later.z, at.z - period * at.dz, decay(kp, kd, period))
+    return SelfTargets(law, period)
+
+
+def decay(kp: Any, kd: Any, period: float) -> tuple[Any, Any]:
+    """Factors a₁, a₂ of ε(t + h) = a₁ ε(t) − a₂ ε(t − h), which samples ε̈ + kd ε̇ + kp ε = 0 exactly.
+
+    They are the sum and the product of exp(λ h) over both roots λ of λ² + kd λ + kp = 0.
+
+    Args:
+        kp: Gain on the error [1/s²].
+        kd: Gain on its velocity [1/s].
+        period: Time h between two samples [s].
+    """
+    half = 0.5 * period * np.asarray(kd, dtype=float)
+    root = np.sqrt(half.astype(complex) ** 2 - period**2 * np.asarray(kp, dtype=float))
+    return (np.exp(root - half) + np.exp(-root - half)).real, np.exp(-2.0 * half)

@@ -1,0 +1,376 @@
+"""`KinematicLoop`: positions and velocities of joints that make a task and its self-motion follow their references."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from eos_pin._arrays import (
+    Jacobian,
+    JointVector,
+    SelfMotionVector,
+    TaskVector,
+    VectorLike,
+    frozen_copy,
+    gains,
+    number,
+    vector,
+)
+from eos_pin.charts.atlas import Atlas
+from eos_pin.charts.chart import Chart
+from eos_pin.control._regularize import AccelerationMap
+from eos_pin.control._sampled_law import SelfTargets, decay, self_targets
+from eos_pin.control._smallest_change import SmallestChange
+from eos_pin.control._velocity_box import VelocityBox
+from eos_pin.control.limited import JointLimits
+from eos_pin.control.objectives import Objective, Track
+from eos_pin.control.state import EosState
+from eos_pin.errors import InputError, SingularError, StateError
+from eos_pin.tasks.base import Point, Task
+from eos_pin.trajectories.base import Target, Trajectory, check_reference
+
+#: Square of the task error that is corrected by one more step of Newton's method: near rounding, as
+#: the law adds up errors of some 1 / (kp h²) steps [m², rad²]. And the most steps.
+SOLVED, STEPS = 1e-28, 3
+#: Largest difference of two times that are the same [s], and of a period from the control period, as a part of it.
+SAME_TIME, LATE = 1e-12, 0.01
+#: Bound that counts as none in the quadratic program.
+NONE = 1e30
+
+
+class Command(NamedTuple):
+    """Command for joints that take positions or velocities.
+
+    Attributes:
+        q: Positions at the end of the period, (n,) [rad or m]. Continuous joints count turns from the first state on.
+        dq: Velocities that lead there when they are held over the period, (n,) [rad/s or m/s].
+    """
+
+    q: JointVector
+    dq: JointVector
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Memory of a loop from one step to the next: the last command, and the targets it had."""
+
+    t: float
+    q: JointVector
+    dq: JointVector
+    measured: JointVector
+    z: Point
+    on: EosState
+    deficit: TaskVector
+    limited: bool
+    lag: float
+    # At the step before: task point and targets, and whose targets they were.
+    z_before: Point
+    z_d: Point
+    reference: object
+    v_d: Any = None
+    objective: object = None
+
+
+class KinematicLoop:
+    """Joint positions and velocities that track z_d(t) and v_d(t) within limits; call `step` once a period.
+
+    For robots that take positions or velocities; no inertia is needed. Errors of task and self-motion follow
+    ε̈ + kd ε̇ + kp ε = 0 independently of each other, in exact samples: on the reference the task stays on it to the
+    accuracy of Newton's method, whatever the period. Position, velocity and acceleration limits are kept always. Where
+    they leave no room for the motion that is asked for, the command changes as little as it can, and in a way that the
+    task feels only where it must. Near a singularity the direction that is being lost fades out of the law, as in
+    `EosController`.
+
+    The loop goes on from its own last command, so noise of the encoders does not enter it; measured joints start a run
+    and are compared with the command. A state that cannot be used, a clock that runs backwards, a jump, and joints that
+    do not follow the command raise a `StateError` and change nothing. `reference`, `self_motion`, `kp`, `kd` and
+    `limits` may be assigned at any time, and count from the next step on.
+
+    Args:
+        task: The task.
+        reference: Trajectory of the task.
+        self_motion: Law of the self-motion; by default hold v at its value at the start. References of `Track`,
+            `FollowJoints` and `FollowPlan` are met exactly, other laws as accelerations.
+        control_period: Period at which `step` is called [s].
+        limits: Limits to keep; by default `JointLimits.without_torques(task.robot)`.
+        kp: Gain on the task error, one number or (m,) [1/s²].
+        kd: Gain on the task's velocity error, one number or (m,) [1/s]; 2 √kp is critically damped.
+        atlas: Rule by which charts follow each other; by default that of `Atlas(task)`.
+        jump: Distance by which a measured joint may move between two steps [rad or m].
+        most_lag: Distance by which a measured joint may be away from its command [rad or m].
+
+    Raises:
+        InputError: An argument does not fit the task, or a limit of acceleration is infinite.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        reference: Trajectory,
+        self_motion: Objective | None = None,
+        *,
+        control_period: float,
+        limits: JointLimits | None = None,
+        kp: float | VectorLike = 100.0,
+        kd: float | VectorLike = 20.0,
+        atlas: Atlas | None = None,
+        jump: float = 0.2,
+        most_lag: float = 0.5,
+    ) -> None:
+        self._period = number(control_period, "the control period", above=0.0)
+        self._jump, self._most_lag = (
+            math.inf if value == math.inf else number(value, name, above=0.0)
+            for value, name in ((jump, "the largest jump"), (most_lag, "the largest lag"))
+        )
+        if atlas is not None and atlas.task is not task:
+            raise InputError("the atlas of a KinematicLoop must be of the loop's own task object")
+        self.task, self.robot, self.atlas = task, task.robot, atlas or Atlas(task)
+        self._smallest = SmallestChange(task.m, task.robot.n)
+        self._eye = np.eye(task.robot.n)
+        self._ahead: tuple[Any, float, Target] | None = None
+        self._box: VelocityBox
+        self._decay: tuple[Any, Any]
+        self.reference: Trajectory
+        self.self_motion: Objective
+        self.limits: JointLimits
+        self.kp: TaskVector
+        self.kd: TaskVector
+        self.reference, self.self_motion = reference, self_motion or Track()
+        self.kp, self.kd = kp, kd  # type: ignore[assignment]
+        self.limits = limits or JointLimits.without_torques(task.robot)
+        self.reset()
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        n, m = (self.task.robot.n, self.task.m) if "task" in vars(self) else (0, 0)
+        if name in ("kp", "kd"):
+            value = frozen_copy(np.broadcast_to(gains(value, m, f"the task gain {name}"), (m,)))
+        elif name == "reference":
+            check_reference(self.task, value)
+        elif name == "self_motion":
+            value.check(n, n - m)
+        elif name == "limits":
+            object.__setattr__(self, "_box", _box(value, n, self._period))
+        elif name in ("task", "robot", "atlas") and name in vars(self):
+            raise InputError(f"the {name} of a KinematicLoop cannot be changed; make another loop")
+        object.__setattr__(self, name, value)
+        if name in ("kp", "kd") and {"kp", "kd"} <= set(vars(self)):
+            object.__setattr__(self, "_decay", decay(self.kp, self.kd, self._period))
+
+    # -- reports -----------------------------------------------------------------------------------------------------
+
+    @property
+    def control_period(self) -> float:
+        """Period at which `step` is called [s]."""
+        return self._period
+
+    @property
+    def chart(self) -> Chart | None:
+        """Chart that the loop is on; None before the first step."""
+        return None if self._state is None else self._state.on.chart
+
+    @property
+    def limited(self) -> bool:
+        """Whether limits changed the last command."""
+        return self._state is not None and self._state.limited
+
+    @property
+    def lag(self) -> float:
+        """Largest distance of a measured joint from its command in the last step [rad or m]."""
+        return 0.0 if self._state is None else self._state.lag
+
+    @property
+    def task_deficit(self) -> TaskVector | None:
+        """Task acceleration that the last command does not bring though it was asked for, (m,) [m/s², rad/s²].
+
+        Zero to rounding where the task is done as it should be; None before the first step.
+        """
+        return None if self._state is None else self._state.deficit.copy()
+
+    def reset(self) -> None:
+        """Forget the chart and the last command; the next step starts a run at rest."""
+        self._state: _State | None = None
+
+    # -- the loop ----------------------------------------------------------------------------------------------------
+
+    def step(self, t: float, q: VectorLike) -> Command:
+        """Command for the period that begins at time t, for joints that are measured at q.
+
+        A second call at the same time returns the same command.
+
+        Args:
+            t: Time [s], best the planned one, a multiple of the period, because velocities are differences in time.
+            q: Measured joints, (n,) [rad or m]; angles of continuous joints may be wrapped.
+
+        Raises:
+            StateError: The state or the time cannot be used; nothing is changed, the next step may go on.
+            SingularError: The task is singular in the first state of a run.
+        """
+        try:
+            seen = np.array(vector(q, self.robot.n, "q"))
+        except InputError as error:
+            raise StateError(f"no command for this state: {error}") from None
+        state = self._state
+        if state is None:
+            if not math.isfinite(t):
+                raise StateError(f"no command at this time: it must be finite, got {t!r}")
+            state = self._begun(t, seen)
+        else:
+            if not state.t <= t < math.inf:
+                raise StateError(
+                    f"no command at this time: t = {t!r} comes after {state.t!r} s. Use a monotonic clock, or reset() "
+                    "the loop to start a new run"
+                )
+            if t == state.t:
+                return Command(state.q.copy(), state.dq.copy())
+            state = self._seen(state, self.robot._unwrap(seen, state.q))
+        self._state = self._next(t, state)
+        return Command(self._state.q.copy(), self._state.dq.copy())
+
+    def _begun(self, t: float, q: JointVector) -> _State:
+        """State at rest at q, on a chart based there."""
+        chart = self.atlas.start(q)
+        z, rest = self.task._value(q), np.zeros(q.size)
+        on = EosState(drive=AccelerationMap(chart), since=t)
+        return _State(t, q, rest, q, z, on, np.zeros(self.task.m), False, 0.0, z, z, None)
+
+    def _seen(self, state: _State, q: JointVector) -> _State:
+        """The state with new measured joints."""
+        moved = np.abs(q - state.measured)
+        # If it is a jump, the next state is believed if it is near this one.
+        allowed = self._jump + 2.0 * np.abs(state.dq) * self._period
+        joint = int(np.argmax(moved - allowed))
+        if moved[joint] > allowed[joint]:
+            self._state = replace(state, measured=q)
+            raise StateError(
+                f"no command for this state: q[{joint}] jumped by {moved[joint]:.3g}, more than {allowed[joint]:.3g}. "
+                "If the next state agrees with this one, the loop goes on"
+            )
+        away = np.abs(q - state.q)
+        joint = int(np.argmax(away))
+        if away[joint] > self._most_lag:
+            raise StateError(
+                f"no command for this state: joint {self.robot.joints[joint].name!r} is {away[joint]:.3g} away from "
+                f"its command, more than {self._most_lag:.3g}; the robot does not follow. reset() the loop to begin "
+                "where it is"
+            )
+        return replace(state, measured=q, lag=float(away[joint]))
+
+    def _next(self, t: float, state: _State) -> _State:
+        """State after the step at time t."""
+        task, h, q, u, n = self.task, self._period, state.q, state.dq, self.robot.n
+        known = state.reference is self.reference and abs(t - state.t - h) <= LATE * h
+        now, ahead = self._target(t), self._target(t + h)
+        z_before = state.z_before
+        # Where the last target is another's or of another time, the velocity takes its place.
+        z_d_before = state.z_d if known else task._plus(now.z, -h * now.dz)
+        a1, a2 = self._decay
+        error = a1 * task._minus(now.z, state.z) - a2 * task._minus(z_d_before, z_before)
+        goal = task._plus(ahead.z, -error)
+        p = q + h * u
+        z_p, J = task._linearize(p)
+        asked = task._minus(goal, z_p) / h**2
+        on, v_d = state.on, self_targets(self.self_motion, t, h, n - task.m)
+        if not known or state.objective is not v_d.of or state.v_d is None:
+            state = replace(state, v_d=v_d.before)
+        a, on, limitless = self._acceleration(t, state, on, v_d, J, asked)
+        least, most = self._box(q, u)
+        least, most = (least - u) / h, (most - u) / h
+        limited = bool(((a < least) | (a > most)).any())
+        if limited:
+            a = a + self._change(J, least - a, most - a)
+        q_next, z = self._solved(on, p, a, J, goal, exact=limitless and not limited)
+        u_next = (q_next - q) / h
+        within = np.minimum(np.maximum(u_next, u + h * least), u + h * most)
+        if not math.isfinite(within.dot(within)):
+            raise StateError(
+                f"no finite command at t = {t!r} s: the reference or the self-motion asks for {a.tolist()}"
+            )
+        if (within != u_next).any():
+            q_next = q + h * within
+            z = task._value(q_next)
+        deficit = task._minus(goal, z) / h**2
+        return _State(
+            t, q_next, within, state.measured, z, on, deficit, limited, state.lag, state.z, now.z, self.reference,
+            v_d.now, v_d.of,
+        )  # fmt: skip
+
+    def _target(self, t: float) -> Target:
+        """The reference at time t; that of the last call is kept."""
+        ahead = self._ahead
+        if ahead is not None and ahead[0] is self.reference and abs(ahead[1] - t) <= SAME_TIME:
+            return ahead[2]
+        target = self.reference(t)
+        self._ahead = self.reference, t, target
+        return target
+
+    def _acceleration(
+        self, t: float, state: _State, on: EosState, v_d: SelfTargets, J: Jacobian, asked: TaskVector
+    ) -> tuple[JointVector, EosState, bool]:
+        """Joint acceleration of the law, the chart it is on from here, and whether no direction fades."""
+        q, u = state.q, state.dq
+
+        def law(chart: Chart) -> SelfMotionVector:
+            if v_d.factors is None:
+                return self.self_motion.acceleration(t, q, u, chart)
+            return v_d.acceleration(self.robot, chart, q, u, state.v_d)
+
+        F_v = law(on.chart)
+        if (more := on.left(t, u)) is not None:
+            F_v = F_v + more
+        a, margin = on.drive(J, np.concatenate((asked, F_v)), u)
+        turned = self.robot.turns and on.chart._room(q) <= 0.0
+        if not turned and (margin > self.atlas.threshold or self._holds(on.chart, J)):
+            return a, on, margin > 0.0
+        try:
+            chart = self.atlas.next(on.chart, q)
+        except SingularError:
+            return a, on, margin > 0.0
+        # The acceleration is continuous: what the law asks for otherwise on the new chart is forgotten by and by.
+        F_v = law(chart)
+        carried = chart._dv(a) - F_v
+        on = EosState(drive=AccelerationMap(chart), number=on.number + 1, since=t, carried=carried)
+        a, margin = on.drive(J, np.concatenate((asked, F_v + carried)), u)
+        return a, on, margin > 0.0
+
+    def _holds(self, chart: Chart, J: Jacobian) -> bool:
+        try:
+            return self.atlas.holds(chart, J)
+        except SingularError:
+            return True
+
+    def _change(self, J: Jacobian, least: JointVector, most: JointVector) -> JointVector:
+        """Smallest change of accelerations into their bounds."""
+        without = np.full(least.size, NONE)
+        change = self._smallest(J, self._eye, np.concatenate((-without, least)), np.concatenate((without, most)))
+        return np.minimum(np.maximum(change, least), most)
+
+    def _solved(
+        self, on: EosState, p: JointVector, a: JointVector, J: Jacobian, goal: Point, *, exact: bool
+    ) -> tuple[JointVector, Point]:
+        """Joints at the end of the period and their task point, by Newton's method where the goal is to be met."""
+        h2, rest = self._period**2, np.zeros(p.size)
+        q = p + h2 * a
+        z = self.task._value(q)
+        for _ in range(STEPS if exact else 0):
+            left = self.task._minus(goal, z)
+            if left.dot(left) <= SOLVED:
+                break
+            more, _ = on.drive(J, np.concatenate((left, rest[left.size :])), rest)
+            q = q + more
+            z = self.task._value(q)
+        return q, z
+
+
+def _box(limits: JointLimits, n: int, period: float) -> VelocityBox:
+    if limits.lower.size != n:
+        raise InputError(f"the limits are for {limits.lower.size} joints, the robot has {n}")
+    if not np.isfinite(limits.acceleration).all():
+        raise InputError(
+            "a kinematic loop needs a finite limit of every acceleration. Give "
+            "limits=JointLimits.without_torques(robot, acceleration=…)"
+        )
+    braking = np.minimum(limits.braking, limits.acceleration)
+    return VelocityBox(limits.lower, limits.upper, limits.velocity, limits.acceleration, braking, period)
