@@ -65,6 +65,14 @@ def nearest(grid: Vector, values: Float[np.ndarray, " j"]) -> Array:
     return i - (values - grid[i - 1] < grid[i] - values)
 
 
+def is_finite(array: Array) -> bool:
+    """Whether all entries of a float array are finite."""
+    # For a few numbers this takes a quarter of the time of `np.isfinite`.
+    if array.ndim == 1 and array.size <= 32:
+        return all(map(math.isfinite, array.tolist()))
+    return bool(np.isfinite(array).all())
+
+
 def frozen_copy(array: Array, kind: type = float) -> Array:
     """Read-only copy of `array`, by default of floats; later writes to the original do not reach it."""
     copy: Array = np.array(array, dtype=kind)
@@ -99,7 +107,7 @@ def vector(values: VectorLike | float, size: int | None, name: str) -> Vector:
     if array.ndim != 1 or (size is not None and array.shape[0] != size):
         wanted = "one-dimensional" if size is None else f"{size} numbers"
         raise InputError(f"{name} must be {wanted}, got shape {array.shape}")
-    if not np.isfinite(array).all():
+    if not is_finite(array):
         bad = np.flatnonzero(~np.isfinite(array)).tolist()
         raise InputError(f"{name} must be finite, got {array.tolist()} (entries {bad})")
     return array
@@ -188,7 +196,9 @@ def unchecked(function: F) -> F:
 def _bordered(function: Any, border: _Border) -> Any:
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
-        return function(*border.positional(args), **border.named(args, kwargs))
+        if kwargs:
+            kwargs = border.named(args, kwargs)
+        return function(*border.positional(args), **kwargs)
 
     wrapper.unchecked, wrapper.border = function, border  # type: ignore[attr-defined]
     return wrapper
@@ -262,18 +272,36 @@ def _check(name: str, hint: Any, default: Any) -> Callable[[Any, Sequence[Any]],
         more, *rest = hint.dim_str.split()
         sizes, any_rows = (rest, True) if more.startswith("*") else ([more, *rest], False)
         readable = all(size.isidentifier() or size.isdigit() for size in sizes) and "float64" in hint.dtypes
-        return (lambda value, known: _array(value, name, sizes, known, any_rows)) if readable else None
+        return _array_check(name, sizes, any_rows) if readable else None
     given = hint is not inspect.Parameter.empty
     if given and isinstance(hint, type) and hint is not bool and not getattr(hint, "_is_protocol", False):
         return lambda value, known: _instance(value, name, hint)
     return None
 
 
+def _array_check(name: str, sizes: Sequence[str], any_rows: bool) -> Callable[[Any, Sequence[Any]], Any]:
+    """The check of an array; vectors as long as an attribute of the first argument pass at once, the everyday case."""
+    size = sizes[0] if len(sizes) == 1 else ""
+
+    def check(value: Any, known: Sequence[Any]) -> Array:
+        if (
+            size
+            and type(value) is np.ndarray
+            and value.dtype == float
+            and value.shape == (getattr(known[0], size, None),)
+            and is_finite(value)
+        ):
+            return value
+        return _array(value, name, sizes, known, any_rows)
+
+    return check
+
+
 def _array(value: Any, name: str, sizes: Sequence[str], known: Sequence[Any], any_rows: bool) -> Array:
     if sizes == ["size"] and (task := next((task for it in known if (task := _task_of(it)) is not None), None)):
         return task.point(value)
     shape = tuple(int(size) if size.isdigit() else _size(size, known) for size in sizes)
-    if type(value) is np.ndarray and value.shape == shape and value.dtype == float and np.isfinite(value).all():
+    if type(value) is np.ndarray and value.shape == shape and value.dtype == float and is_finite(value):
         return value
     array = as_floats(value, name)
     last = array.shape[max(array.ndim - len(shape), 0) :] if any_rows else array.shape
@@ -282,7 +310,7 @@ def _array(value: Any, name: str, sizes: Sequence[str], known: Sequence[Any], an
         meaning = f" ({SIZES[sizes[0]]})" if len(sizes) == 1 and SIZES.get(sizes[0]) else ""
         form = f"{needed} number{'' if needed == '1' else 's'}{meaning}" if len(sizes) == 1 else f"of shape ({needed})"
         raise InputError(f"{name} must be {form}{' or rows of so many' * any_rows}, got shape {array.shape}")
-    if not np.isfinite(array).all():
+    if not is_finite(array):
         raise InputError(f"{name} must be finite, got {array.tolist()}")
     return array
 

@@ -24,7 +24,6 @@ from eos_pin._arrays import (
     Jacobian,
     JointVector,
     TaskVector,
-    as_floats,
     by_identity,
     checked,
     unchecked,
@@ -265,8 +264,9 @@ class Task(Checked, ABC):
         Raises:
             InputError: Wrong shape, not finite, or not a rotation.
         """
-        name = f"a point of {self!r}"
-        return vector(as_floats(value, name), self.size, name)
+        return vector(value, self.size, self._point_name)  # type: ignore[arg-type]
+
+    _point_name = cached_property(lambda self: f"a point of {self!r}")
 
     def hold(self, q: JointsLike) -> Hold:
         """Trajectory that rests at the task point of the joints q.
@@ -372,8 +372,7 @@ class StackedTask(Task, kind="stacked"):
         return min(task._local_margin(delta[d]) for task, _, d in self._slices)
 
     def point(self, value: PointLike) -> Point:
-        name = f"a point of {self!r}"
-        array = vector(as_floats(value, name), self.size, name)
+        array = vector(value, self.size, self._point_name)  # type: ignore[arg-type]
         return np.concatenate([task.point(array[p]) for task, p, _ in self._slices])
 
     def describe(self) -> dict[str, Any]:

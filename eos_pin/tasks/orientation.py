@@ -49,7 +49,7 @@ class OrientationTask(FrameTask, kind="orientation"):
         return 1.0 - math.sqrt(delta.dot(delta)) / math.pi
 
     def point(self, value: PointLike) -> Point:
-        return flat_rotation(value.rotation if isinstance(value, pin.SE3) else value, f"a point of {self!r}")
+        return flat_rotation(value.rotation if isinstance(value, pin.SE3) else value, self._point_name)
 
 
 class PoseTask(FrameTask, kind="pose"):
@@ -86,7 +86,7 @@ class PoseTask(FrameTask, kind="pose"):
         return 1.0 - math.sqrt(delta[3:].dot(delta[3:])) / math.pi
 
     def point(self, value: PointLike) -> Point:
-        return checked_pose(value, f"a point of {self!r}")
+        return checked_pose(value, self._point_name)
 
 
 class HeadingTask(Task, kind="heading"):
