@@ -9,7 +9,8 @@ import numpy as np
 
 from eos_pin._arrays import JointVector, SelfMotionVector
 from eos_pin.charts.chart import Chart
-from eos_pin.control.objectives import FollowJoints, Objective, Track
+from eos_pin.control.following import FollowJoints
+from eos_pin.control.objectives import Objective, Track
 from eos_pin.robot.model import Robot
 
 

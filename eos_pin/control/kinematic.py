@@ -207,6 +207,7 @@ class KinematicLoop:
         Raises:
             StateError: The state or the time cannot be used; nothing is changed, the next step may go on.
             SingularError: The task is singular in the first state of a run.
+            PlanError: The joints are too far from those to follow in the first state of a run.
         """
         try:
             seen = np.array(vector(q, self.robot.n, "q"))
@@ -232,6 +233,7 @@ class KinematicLoop:
     def _begun(self, t: float, q: JointVector) -> _State:
         """State at rest at q, on a chart based there."""
         chart = self.atlas.start(q)
+        self.self_motion.check_start(t, q, chart)
         z, rest = self.task._value(q), np.zeros(q.size)
         on = EosState(drive=AccelerationMap(chart), since=t)
         return _State(t, q, rest, q, z, on, np.zeros(self.task.m), False, 0.0, z, z, None)
