@@ -95,6 +95,9 @@ class Obstructed:
         clearance: Least distance [m].
         margin: Room that is kept from joint limits [rad or m].
         joint_step: Longest step of a joint from one way point to the next [rad or m].
+        cost: What else counts beside joint motion, each with its weight or 1, such as limits=0.5 torque=2: posture
+            (near to --start, or to zero), limits, clearance, manipulability, torque (of gravity), energy (motion
+            weighed by inertia).
         start: Joints to begin at, n numbers [rad or m].
         reconfigurations: Let the joints jump where no continuous motion exists, as few times as possible.
         effort: How many times the search is refined before it gives up.
@@ -106,9 +109,23 @@ class Obstructed:
     clearance: float = 0.0
     margin: float = 0.01
     joint_step: float | None = None
+    cost: tuple[str, ...] = ()
     start: tuple[float, ...] = ()
     reconfigurations: bool = False
     effort: int = 3
+
+    def costs(self) -> dict[Any, float] | None:
+        """Costs by name with their weights; None without."""
+        made: dict[Any, float] = {}
+        for text in self.cost:
+            name, _, weight = text.partition("=")
+            try:
+                made[name] = float(weight) if weight else 1.0
+            except ValueError:
+                raise InputError(
+                    f"--cost takes names, or names with weights, such as limits=0.5; got {text!r}"
+                ) from None
+        return made or None
 
     def bodies(self, robot: Robot) -> Bodies | None:
         """The robot's capsules; None where they are not needed or are to be fitted."""
@@ -188,6 +205,7 @@ def plan(
                 clearance=within.clearance,
                 margin=within.margin,
                 joint_step=within.joint_step,
+                cost=within.costs(),
                 start=within.start or None,
                 reconfigurations=within.reconfigurations,
                 keep_time=None if path.path.lower().endswith((".csv", ".tsv", ".txt")) else path.period is not None,

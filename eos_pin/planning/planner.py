@@ -6,18 +6,19 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from eos_pin._arrays import Array, VectorLike
 from eos_pin.errors import InputError, PlanError
+from eos_pin.planning.advice import Change, Deadline, changes_for, components_at, tried
+from eos_pin.planning.costs import Cost
 from eos_pin.planning.courses import Mended, broken_at, mended, prolonged
 from eos_pin.planning.grid import Grid, grid_of
 from eos_pin.planning.obstacles.bodies import Bodies
 from eos_pin.planning.obstacles.scene import Scene
 from eos_pin.planning.plans import Plan
-from eos_pin.planning.problem import PostureCost, Problem, given, problem_of, told
+from eos_pin.planning.problem import Problem, given, problem_of, told
 from eos_pin.planning.refine import Course, refine, without_bounds
 from eos_pin.planning.report import figures
 from eos_pin.planning.search import Failure, Layers
@@ -74,7 +75,7 @@ def plan(
     margin: float = MARGIN,
     limits: tuple[VectorLike, VectorLike] | None = None,
     joint_step: float | VectorLike | None = None,
-    cost: PostureCost | None = None,
+    cost: Cost | None = None,
     weights: float | VectorLike = 1.0,
     start: VectorLike | None = None,
     end: VectorLike | None = None,
@@ -103,7 +104,10 @@ def plan(
         margin: Room that is kept from joint limits [rad or m].
         limits: Least and largest joints, where they are not the robot's.
         joint_step: Longest step of each joint from one way point to the next [rad or m].
-        cost: A further cost of postures, per second: a function of joints (K, n) with values (K,).
+        cost: A further cost, by name: `"posture"` (near to `start`, or to zero), `"limits"`, `"clearance"`,
+            `"manipulability"`, `"torque"` (of gravity), `"energy"` (motion weighed by inertia); or a function of
+            joints (K, n) with values (K,), per second; or several of these with their weights, as in {"limits": 0.5,
+            "torque": 2.0}; see `costs_of`.
         weights: Weight of each joint's motion, one number or (n,).
         start: Joints to begin at, (n,); by default any.
         end: Joints to end at, of an open path, (n,); by default any.
@@ -121,7 +125,7 @@ def plan(
     robot = task.robot
     manifold = Manifold(task)
     grid = grid_of(task, path, closed=closed, times=times)
-    problem = problem_of(manifold, scene, bodies, self_collision, clearance, margin, limits, cost, weights)
+    problem = problem_of(manifold, scene, bodies, self_collision, clearance, margin, limits, cost, weights, start)
     timed = grid.timed if keep_time is None else keep_time
     step = grid.bounds(robot, joint_step, timed)
     if grid.closed and end is not None:
@@ -179,6 +183,7 @@ class _Search:
         self.failures: list[tuple[Failure, int]] = []
         self.notes: list[str] = []
         self.stride = 1
+        self.began = time.perf_counter()
 
     @property
     def course(self) -> Course:
@@ -236,6 +241,11 @@ class _Search:
         dt, total = grid.dt_between(rows), 2 * len(rows)
         whole = WholeLayers(problem, grid.Z[rows], dt, self.seed, lambda done: self.progress("search", done / total))
         self._take(whole.ways(self.most), Course(problem, whole.Z, dt, True), rows, stride > 1)
+        if whole.wound:
+            self.notes.append(
+                f"where it closes, {', '.join(map(repr, whole.wound))} would turn a whole turn each round, which winds "
+                "cables up"
+            )
 
     def _attempt(self, attempt: Attempt) -> None:
         grid, problem = self.grid, self.problem
@@ -323,12 +333,14 @@ class _Search:
     def refusal(self) -> PlanError:
         """Reason and place of a refusal, and a change that would help."""
         grid, problem = self.grid, self.problem
-        if len(self.failures) and len(self.failures) == len(self._attempts_made()):
+        spent = time.perf_counter() - self.began
+        if self.failures and not self.notes:
             failure, row = max(self.failures, key=lambda item: item[1])
+            helps = self._helps(changes_for(problem, failure.bars, self.reconfigurations), spent)
             if failure.layer < 0:
                 return PlanError(
                     f"no joints at {grid.called(0)}, where the path begins: {told(failure.bars)}, of 400 postures "
-                    f"that were tried without limits. {self._advice(failure)}",
+                    f"that were tried without limits. {helps or self._advice(failure)}",
                     0,
                     0.0,
                 )
@@ -340,24 +352,36 @@ class _Search:
                 if failure.solutions
                 else "no posture at all is allowed there"
             )
+            components = components_at(problem, grid.Z[min(following, len(grid.Z) - 1)])
             return PlanError(
                 f"no motion from {grid.called(row)} to {grid.called(following)} ({reached:.0%} of the path was "
-                f"reached): of {failure.reached} postures reached none goes on ({bars}); {other}. "
-                f"{self._advice(failure)}",
+                f"reached): of {failure.reached} postures reached none goes on ({bars}); {other}"
+                f"{'; ' * bool(components)}{components}. {helps or self._advice(failure)}",
                 grid.waypoint(row),
                 reached,
             )
         reasons = "; ".join(dict.fromkeys(self.notes)) or "the search found none"
         kind = "closed motion" if grid.closed else "motion"
+        helps = self._helps(changes_for(problem, (), self.reconfigurations), spent)
         return PlanError(
-            f"no {kind} was found ({problem.r} redundant joints, {len(grid.Z)} points): {reasons}. Search longer "
-            "(--effort), allow less clearance or margin, or lead the path elsewhere",
+            f"no {kind} was found ({problem.r} redundant joints, {len(grid.Z)} points): {reasons}. "
+            + (helps or "Search longer (--effort), allow less clearance or margin, or lead the path elsewhere"),
             None,
             0.0,
         )
 
-    def _attempts_made(self) -> list[Any]:
-        return [*self.failures, *self.notes]
+    def _helps(self, changes: Sequence[Change], spent: float) -> str:
+        """Changes that were tried, in sentences; empty where time was too short for any."""
+
+        def solve(change: Change, deadline: Deadline) -> Array | None:
+            ends = self.start, self.end
+            search = _Search(change.problem, self.grid, self.step, ends, change.jumps, self.seed, deadline, 2)
+            return search.run(1)
+
+        helpful, useless = tried(changes, solve, spent)
+        if helpful:
+            return f"With {helpful[0]} there is one" + (f", not yet with {' or '.join(useless)}" if useless else "")
+        return f"No quick search found one with {' or '.join(useless)} either" if useless else ""
 
     def _advice(self, failure: Failure) -> str:
         reasons = " ".join(bar.reason for bar in failure.bars[:2])

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -19,13 +19,11 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin.errors import InputError
+from eos_pin.planning.costs import Cost, PostureCost, costs_of
 from eos_pin.planning.obstacles.bodies import Bodies, Clearances
 from eos_pin.planning.obstacles.scene import Scene
 from eos_pin.tasks.base import Task
 from eos_pin.tasks.batch import Manifold
-
-#: A cost of postures: their joints as rows (K, n), and a number for each, (K,).
-PostureCost: TypeAlias = Callable[[Float[np.ndarray, "K n"]], Float[np.ndarray, " K"]]
 
 
 class Bar(NamedTuple):
@@ -34,10 +32,16 @@ class Bar(NamedTuple):
     Attributes:
         reason: What it is, in words.
         postures: How many of the postures.
+        joint: Number of the joint whose limit it is, if any.
+        below: Whether it is the lower limit.
+        solid: Name of the solid that is too close, if any.
     """
 
     reason: str
     postures: int
+    joint: int | None = None
+    below: bool = False
+    solid: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,27 +120,28 @@ class Problem:
 
     def bars(self, Q: Float[Array, "n K"], found: Bool[Array, " K"]) -> list[Bar]:
         """Causes that exclude postures, most frequent first: no solution, a joint's limit, or a pair too close."""
-        robot, counts = self.manifold.robot, dict[str, int]()
+        robot, bars = self.manifold.robot, list[Bar]()
 
-        def note(reason: str, count: int) -> None:
+        def note(reason: str, count: int, joint: int | None = None, below: bool = False, solid: str = "") -> None:
             if count:
-                counts[reason] = counts.get(reason, 0) + count
+                bars.append(Bar(reason, count, joint, below, solid))
 
         note("a singularity of the task or the end of its reach", int((~found).sum()))
         Q = Q[:, found]
         below, above = self.lower[:, None] > Q, self.upper[:, None] < Q
         first = np.where((below | above).any(axis=0), (below | above).argmax(axis=0), -1)
         for j, joint in enumerate(robot.joints):
-            note(f"the lower limit of {joint.name!r}", int(((first == j) & below[j]).sum()))
-            note(f"the upper limit of {joint.name!r}", int(((first == j) & ~below[j]).sum()))
+            note(f"the lower limit of {joint.name!r}", int(((first == j) & below[j]).sum()), j, True)
+            note(f"the upper limit of {joint.name!r}", int(((first == j) & ~below[j]).sum()), j)
         Q = Q[:, first < 0]
         if self.clearances is not None and len(self.clearances) and Q.shape[1]:
             distances = self.clearances.pairs(Q)
             worst = distances.argmin(axis=0)[distances.min(axis=0) < self.gap]
             for pair in np.unique(worst).tolist():
                 a, b = self.clearances.names[pair]
-                note(f"{a!r} too close to {b!r}", int((worst == pair).sum()))
-        return sorted((Bar(*item) for item in counts.items()), key=lambda bar: -bar.postures)
+                solid = b if b in self.clearances.scene.names else ""
+                note(f"{a!r} too close to {b!r}", int((worst == pair).sum()), solid=solid)
+        return sorted(bars, key=lambda bar: -bar.postures)
 
 
 def told(bars: Sequence[Bar]) -> str:
@@ -152,8 +157,9 @@ def problem_of(
     clearance: float,
     margin: float,
     limits: tuple[VectorLike, VectorLike] | None,
-    cost: PostureCost | None,
+    cost: Cost | None,
     weights: float | VectorLike,
+    reference: VectorLike | None = None,
 ) -> Problem:
     """Problem on a manifold; arguments as in `plan`.
 
@@ -186,7 +192,12 @@ def problem_of(
             bodies = Bodies(robot, bodies.capsules, ())
         clearances = Clearances(bodies, scene or Scene())
     gap = number(clearance, "the clearance", at_least=0.0)
-    return Problem(manifold, lower + room_of, upper - room_of, clearances, gap, frozen_copy(weight), cost)
+    lower, upper = lower + room_of, upper - room_of
+    middle = np.clip(0.0, lower, upper)
+    if reference is not None:
+        middle = vector(reference, robot.n, "the joints to begin at")
+    costs = costs_of(cost, manifold, (lower, upper), clearances, middle)
+    return Problem(manifold, lower, upper, clearances, gap, frozen_copy(weight * costs.weights), costs.posture)
 
 
 def given(q: VectorLike | None, task: Task, z: Array, name: str) -> Array | None:

@@ -6,7 +6,7 @@ Postures that differ by whole turns of joints are one; how often joints turned i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -44,6 +44,7 @@ class WholeLayers:
         dt: Time from each layer to the next, (L,).
         seed: Seed of the random postures.
         tick: Called with the number of layers done; it may raise to stop.
+        wound: Names of the joints that turn a whole turn in ways that were left out for it.
     """
 
     problem: Problem
@@ -51,6 +52,7 @@ class WholeLayers:
     dt: Float[Array, " L"]
     seed: int = 0
     tick: Ticked = lambda done: None
+    wound: list[str] = field(default_factory=list)
 
     @cached_property
     def turning(self) -> Bool[Array, " n"]:
@@ -187,7 +189,12 @@ class WholeLayers:
     def _unrolled(self, way: Float[Array, "L n"]) -> Float[Array, "L n"] | None:
         """Continuous joints of a way within limits; None where they turn, or do not fit."""
         steps = self._way(way.T, np.roll(way, -1, axis=0).T).T
-        if np.abs(steps.sum(axis=0)).max() > 1e-6:
+        turned = np.abs(steps.sum(axis=0)) > 1e-6
+        if turned.any():
+            names = [
+                joint.name for joint, turns in zip(self.problem.manifold.robot.joints, turned, strict=True) if turns
+            ]
+            self.wound += [name for name in names if name not in self.wound]
             return None
         q = way[0] + np.concatenate((0.0 * steps[:1], np.cumsum(steps[:-1], axis=0)))
         problem = self.problem

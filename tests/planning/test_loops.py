@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from eos_pin import PoseTask, load_robot
+from eos_pin import PoseTask, PositionTask, load_robot
+from eos_pin.errors import PlanError
 from eos_pin.planning.planner import plan
 
 
@@ -46,3 +47,20 @@ def test_closed_plan_does_not_wind_joints_without_limits():
     joints = found.joints(times)
     assert np.abs(np.diff(joints, axis=0)).max() < 0.5
     assert np.abs(joints[-1] - joints[0]).max() < 1e-9
+
+
+CHAIN = """<robot name="chain"><link name="link0"/>{joints}</robot>"""
+JOINT = """<link name="link{k}"/><joint name="joint{k}" type="{kind}"><parent link="link{before}"/>
+<child link="link{k}"/><origin xyz="{x} 0 0"/><axis xyz="0 0 1"/></joint>"""
+
+
+def test_closed_path_that_only_whole_turns_follow_is_refused_by_name():
+    """A planar arm of three unit links, its tip at 2.5 around the base: each link has to turn with the tip."""
+    joints = [
+        JOINT.format(k=k, before=k - 1, x=float(k > 1), kind="fixed" if k == 4 else "continuous") for k in range(1, 5)
+    ]
+    robot = load_robot(CHAIN.format(joints="".join(joints)), chain_to="link4")
+    s = np.linspace(0.0, 2.0 * np.pi, 33)
+    circle = np.column_stack((2.5 * np.cos(s), 2.5 * np.sin(s)))
+    with pytest.raises(PlanError, match="'joint1' would turn a whole turn"):
+        plan(PositionTask(robot, "link4", "xy"), circle, closed=True, effort=1)

@@ -1,0 +1,156 @@
+"""Changes that would help where no motion was found: each is tried before it is advised."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eos_pin._arrays import Array
+from eos_pin.errors import EosError
+from eos_pin.planning.manifolds.manifold import self_motion_manifold
+from eos_pin.planning.obstacles.bodies import Clearances
+from eos_pin.planning.obstacles.scene import Box, Capsule, Scene
+from eos_pin.planning.problem import Bar, Problem
+
+#: Distances by which a solid is made smaller all around [m], and ranges by which limits are widened [rad or m].
+DISTANCES, RANGES = (0.03, 0.1), (0.1, 0.4)
+#: Seconds that changes are tried for: at least, at most, and as a part of those that the search took.
+LEAST, MOST, PART = 2.0, 15.0, 1.0
+#: Causes that are looked at, most frequent first.
+CAUSES = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """A change of a problem.
+
+    Attributes:
+        words: The change in words, after "with".
+        problem: The problem with it.
+        jumps: Whether joints may jump.
+    """
+
+    words: str
+    problem: Problem
+    jumps: bool = False
+
+
+class _TimeUpError(Exception):
+    """The time for trials is over."""
+
+
+class Deadline:
+    """A progress report that ends a search when its time is over.
+
+    Args:
+        seconds: The time from now on.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self.end = time.perf_counter() + seconds
+
+    def __call__(self, what: str, part: float) -> None:
+        if time.perf_counter() > self.end:
+            raise _TimeUpError
+
+
+def tried(
+    changes: Sequence[Change], solve: Callable[[Change, Deadline], Array | None], spent: float
+) -> tuple[list[str], list[str]]:
+    """Changes with which a motion was found, one of each kind, and those with which none was.
+
+    Args:
+        changes: The changes, of each kind the smallest first.
+        solve: Searches for a motion with a change.
+        spent: Time that the refused search took [s].
+    """
+    deadline = Deadline(float(np.clip(PART * spent, LEAST, MOST)))
+    helpful, useless = list[str](), list[str]()
+    for change in changes:
+        try:
+            deadline("", 0.0)
+            found = solve(change, deadline)
+        except _TimeUpError:
+            break
+        except EosError:
+            continue
+        (useless if found is None else helpful).append(change.words)
+        if found is not None:
+            break
+    return helpful, useless
+
+
+def changes_for(problem: Problem, bars: Sequence[Bar], jumps: bool) -> list[Change]:
+    """Changes that take away the most frequent causes, and jumps where they are not allowed yet."""
+    made: list[Change] = []
+    for bar in bars[:CAUSES]:
+        if bar.joint is not None:
+            made += _wider(problem, bar)
+        elif bar.solid:
+            made += _further(problem, bar.solid)
+    return made if jumps else [*made, Change("reconfigurations allowed", problem, jumps=True)]
+
+
+def _wider(problem: Problem, bar: Bar) -> list[Change]:
+    """Changes of one limit."""
+    made, joint = [], problem.manifold.robot.joints[bar.joint or 0]
+    for room in RANGES:
+        lower, upper = problem.lower.copy(), problem.upper.copy()
+        if bar.below:
+            lower[bar.joint] -= room
+        else:
+            upper[bar.joint] += room
+        unit = "m" if joint.kind == "prismatic" else "rad"
+        words = f"{room:g} {unit} beyond the {'lower' if bar.below else 'upper'} limit of {joint.name!r}"
+        made.append(Change(words, replace(problem, lower=lower, upper=upper)))
+    return made
+
+
+def _further(problem: Problem, name: str) -> list[Change]:
+    """Changes that give more distance from one solid."""
+    assert problem.clearances is not None
+    scene, made = problem.clearances.scene, []
+    for distance in DISTANCES:
+        smaller = Scene(
+            [_smaller_box(box, distance) if box.name == name else box for box in scene.boxes],
+            [_smaller_capsule(c, distance) if c.name == name else c for c in scene.capsules],
+            scene.meshes,
+        )
+        changed = replace(problem, clearances=Clearances(problem.clearances.bodies, smaller))
+        made.append(Change(f"{100.0 * distance:g} cm more distance from {name!r}", changed))
+    return made
+
+
+def _smaller_box(box: Box, distance: float) -> Box:
+    return replace(box, size=np.maximum(np.asarray(box.size) - 2.0 * distance, 1e-3))
+
+
+def _smaller_capsule(capsule: Capsule, distance: float) -> Capsule:
+    return replace(capsule, radius=max(capsule.radius - distance, 0.0))
+
+
+def components_at(problem: Problem, z: Array) -> str:
+    """Number of components at a task point and the causes that end their arcs, in words; empty without such."""
+    if problem.r != 1:
+        return ""
+    try:
+        there = self_motion_manifold(
+            problem.manifold.task, z, limits=(problem.lower, problem.upper), seeds=40, tries=300
+        )
+    except EosError:
+        return ""
+    count = len(there.components)
+    if not count:
+        return "its self-motion manifold there is empty"
+    open_ = sum(not component.closed for component in there.components)
+    words = f"its self-motion manifold there has {count} component{'s' * (count > 1)}"
+    if open_:
+        words += f", {open_} of which end{'s' * (open_ == 1)} at singularities"
+    if not there.arcs:
+        return f"{words}, none within the limits"
+    inside = len({arc.component for arc in there.arcs})
+    causes = ", ".join(there.reasons[:3])
+    return f"{words}, {inside} with arcs within the limits" + (f", which end at the {causes}" if causes else "")

@@ -1,0 +1,81 @@
+"""Refusals: place, causes, and changes that were tried and help; and paths and limits that cannot be used."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from eos_pin import InputError, PositionTask, circle, load_robot
+from eos_pin.errors import PlanError
+from eos_pin.planning.obstacles.bodies import Bodies
+from eos_pin.planning.obstacles.scene import Box, Capsule, Scene
+from eos_pin.planning.planner import plan
+
+JOINT = """<link name="link{k}"/><joint name="joint{k}" type="{kind}"><parent link="link{before}"/>
+<child link="link{k}"/><origin xyz="{x} 0 0"/><axis xyz="0 0 1"/></joint>"""
+
+
+@pytest.fixture(scope="module")
+def task():
+    return PositionTask(load_robot("panda", chain_to="panda_hand_tcp"), "panda_hand_tcp")
+
+
+@pytest.fixture(scope="module")
+def two_links():
+    """A planar arm of two unit links."""
+    joints = [
+        JOINT.format(k=k, before=k - 1, x=float(k > 1), kind="fixed" if k == 3 else "continuous") for k in (1, 2, 3)
+    ]
+    return load_robot(f'<robot name="arm"><link name="link0"/>{"".join(joints)}</robot>', chain_to="link3")
+
+
+def test_refusal_advises_distance_that_helps(task):
+    """The hand, 5 cm thick, passes 3 cm above a box."""
+    bodies = Bodies.of(task.robot, {"panda_hand": Capsule([0, 0, 0], [0, 0, 0.1], 0.05)})
+    scene = Scene([Box([0.45, 0.0, 0.27], [0.1, 0.1, 0.1], name="crate")])
+    path = [[0.45, y, 0.35] for y in np.linspace(-0.3, 0.3, 25)]
+    with pytest.raises(PlanError, match="With 3 cm more distance from 'crate' there is one"):
+        plan(task, path, scene=scene, bodies=bodies, effort=1)
+
+
+def test_refusal_advises_range_of_the_joint_that_ends_the_path(two_links):
+    """The first joint ends 0.05 rad before the path does, and the elbow cannot change sides."""
+    q1 = np.linspace(0.0, 1.0, 21)
+    path = np.column_stack((np.cos(q1) + np.cos(q1 + 0.5), np.sin(q1) + np.sin(q1 + 0.5)))
+    limits = [-1.0, 0.1], [0.95, 2.0]
+    with pytest.raises(PlanError, match=r"With 0\.1 rad beyond the upper limit of 'joint1' there is one") as refused:
+        plan(PositionTask(two_links, "link3", "xy"), path, limits=limits, margin=0.0, effort=1)
+    assert 0.9 < refused.value.reached < 1.0
+
+
+def test_refusal_names_the_way_point_out_of_reach(task):
+    path = [[x, 0.1 * k, 0.4] for k, x in enumerate((0.4, 0.55, 0.7, 1.4, 0.7, 0.55, 0.4))]
+    with pytest.raises(PlanError, match="reach") as refused:
+        plan(task, path, effort=1)
+    assert refused.value.waypoint == 2
+    assert "to way point 3" in str(refused.value) or "from way point 2 to 3" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("path", "options", "message"),
+    [
+        ([[0.5, 0.0, 0.4], [0.5, 0.0, 0.4], [0.5, 0.1, 0.4]], {}, "same"),
+        ([[0.5, 0.0, 0.4], [0.5, float("nan"), 0.4]], {}, "finite"),
+        ([[0.5, 0.0, 0.4]], {}, "two"),
+        ([[0.5, 0.0, 0.4], [0.5, 0.1, 0.4], [0.5, 0.2, 0.4]], {"closed": True}, "clos"),
+        ([[0.5, 0.0, 0.4], [0.5, 0.1, 0.4]], {"scene": Scene()}, "empty"),
+        ([[0.5, 0.0, 0.4], [0.5, 0.1, 0.4]], {"times": [0.0, 0.0]}, "time"),
+        ([[0.5, 0.0, 0.4], [0.5, 0.1, 0.4]], {"margin": -1.0}, "margin"),
+        ([[0.5, 0.0, 0.4], [0.5, 0.1, 0.4]], {"joint_step": 0.0}, "step"),
+        ([[0.5, 0.0, 0.4], [0.5, 0.1, 0.4]], {"weights": 0.0}, "weights"),
+        ([[0.5, 0.0, 0.4], [0.5, 0.1, 0.4]], {"start": np.zeros(7)}, "away from that point"),
+    ],
+)
+def test_plan_refuses_what_cannot_be_used(task, path, options, message):
+    with pytest.raises(InputError, match=message):
+        plan(task, path, **options)
+
+
+def test_closed_trajectory_has_no_end_of_its_own(task):
+    with pytest.raises(InputError, match="give its start"):
+        plan(task, circle([0.6, 0.0, 0.4], 0.1, period=4.0), end=np.zeros(7))
