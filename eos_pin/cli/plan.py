@@ -28,7 +28,7 @@ from eos_pin.errors import InputError, PlanError
 from eos_pin.experiments.options import RobotOptions, TaskOptions
 
 if TYPE_CHECKING:
-    from eos_pin.planning.obstacles.bodies import Bodies
+    from eos_pin.planning.obstacles.bodies import Bodies, Clearances
     from eos_pin.planning.obstacles.scene import Scene
     from eos_pin.planning.planner import Progress as Report
     from eos_pin.planning.plans import Plan
@@ -219,7 +219,7 @@ def plan(
     console.print(_table(found))
     if found.info["message"]:
         stderr.print(found.info["message"], soft_wrap=True)
-    print_files(_deliver(found, files, wanted, scene))
+    print_files(_deliver(found, files, wanted, scene, _clearances(within, machine, bodies, scene)))
     return 0 if found.status == "planned" else 1
 
 
@@ -235,7 +235,20 @@ def _refused(error: PlanError, files: Output, closed: bool) -> int:
     return 1
 
 
-def _deliver(found: Plan, files: Output, wanted: Path | None, scene: Scene | None) -> list[Path]:
+def _clearances(within: Obstructed, robot: Robot, bodies: Bodies | None, scene: Scene | None) -> Clearances | None:
+    """Distances that count; None where nothing is to be kept clear of."""
+    from eos_pin.planning.obstacles.bodies import Bodies, Clearances
+    from eos_pin.planning.obstacles.scene import Scene
+
+    if scene is None and not within.self_collision:
+        return None
+    bodies = bodies or Bodies.fitted(robot)
+    return Clearances(bodies if within.self_collision else Bodies(robot, bodies.capsules, ()), scene or Scene())
+
+
+def _deliver(
+    found: Plan, files: Output, wanted: Path | None, scene: Scene | None, clearances: Clearances | None
+) -> list[Path]:
     written = []
     if wanted is not None:
         written.append(found.save(wanted))
@@ -244,11 +257,11 @@ def _deliver(found: Plan, files: Output, wanted: Path | None, scene: Scene | Non
     if files.csv is not None:
         written.append(found.to_csv(files.csv, derivatives=False))
     if files.html is not None or files.plot is not None or files.view:
-        written += _draw(found, files, scene)
+        written += _draw(found, files, scene, clearances)
     return written
 
 
-def _draw(found: Plan, files: Output, solids: Scene | None) -> list[Path]:
+def _draw(found: Plan, files: Output, solids: Scene | None, clearances: Clearances | None) -> list[Path]:
     """Write the figure and the replay that are asked for."""
     import numpy as np
 
@@ -261,7 +274,7 @@ def _draw(found: Plan, files: Output, solids: Scene | None) -> list[Path]:
 
     written = []
     if files.plot is not None:
-        written.append(save(picture(found), files.plot))
+        written.append(save(picture(found, clearances), files.plot))
     if files.html is not None or files.view:
         times = np.linspace(found.start, found.end, min(2000, 4 * len(found.times)))
         joints = found.joints(times)
