@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from jaxtyping import Float
 
 from eos_pin._arrays import (
     Array,
+    Vector,
     VectorLike,
     as_floats,
     frozen_copy,
@@ -32,13 +34,11 @@ SHORT = 0.4
 
 
 @dataclass(frozen=True, eq=False)
-class Spline(Trajectory):
-    """A smooth curve through points of a vector task; it rests at its end, or repeats if it is closed.
-
-    Made by `minimum_jerk`, `cubic_spline` and `spline_from_csv`.
+class _SplineTrajectory(Trajectory):
+    """A curve by a piecewise polynomial of SciPy; it rests at its end, or repeats if it is closed.
 
     Attributes:
-        curve: A piecewise polynomial of SciPy with values (m,).
+        curve: The polynomial.
         start: Time of its first point [s].
         end: Time of its last point [s].
         closed: Whether it repeats.
@@ -50,7 +50,11 @@ class Spline(Trajectory):
     closed: bool = False
 
     def __post_init__(self) -> None:
-        _set_times(self)
+        if self.closed:
+            object.__setattr__(self, "period", self.end - self.start)
+        else:
+            object.__setattr__(self, "begin", self.start)
+            object.__setattr__(self, "duration", self.end)
 
     @cached_property
     def _derivatives(self) -> tuple[Any, Any, Any]:
@@ -59,10 +63,24 @@ class Spline(Trajectory):
     def __call__(self, t: float) -> Target:
         if self.closed:
             t = self.start + (t - self.start) % (self.end - self.start)
-        z, dz, ddz = (d(min(max(t, self.start), self.end)) for d in self._derivatives)
+        target = self._target(*(derivative(min(max(t, self.start), self.end)) for derivative in self._derivatives))
         if not self.closed and not self.start <= t < self.end:
-            return Target(z, 0.0 * dz, 0.0 * ddz)
-        return Target(z, dz, ddz)
+            return Target(target.z, 0.0 * target.dz, 0.0 * target.ddz)
+        return target
+
+    @abstractmethod
+    def _target(self, p: Vector, dp: Vector, ddp: Vector) -> Target:
+        """Target for the polynomial's value and its first two derivatives."""
+
+
+class Spline(_SplineTrajectory):
+    """A smooth curve through points of a vector task; it rests at its end, or repeats if it is closed.
+
+    Made by `minimum_jerk`, `cubic_spline` and `spline_from_csv`. Its polynomial has values (m,).
+    """
+
+    def _target(self, p: Vector, dp: Vector, ddp: Vector) -> Target:
+        return Target(p, dp, ddp)
 
 
 def minimum_jerk(points: Sequence[VectorLike] | Array, times: VectorLike) -> Spline:
@@ -134,42 +152,19 @@ def shifted(table: Waypoints) -> tuple[str, ...]:
     return (f"the times of {table.source} begin at {table.start:.10g} s; they are counted from there",)
 
 
-@dataclass(frozen=True, eq=False)
-class RotationSpline(Trajectory):
+class RotationSpline(_SplineTrajectory):
     """A smooth curve through rotations, for a task of orientation; it rests at its end, or repeats if it is closed.
 
     It is the cubic spline through the quaternions, projected to length 1: R, angular velocity and angular acceleration
     are continuous, and the curve does not depend on the axes of the world or of the frame. Made by `rotation_spline`.
-
-    Attributes:
-        curve: Spline of quaternions (x, y, z, w), not normalized.
-        start: Time of its first rotation [s].
-        end: Time of its last rotation [s].
-        closed: Whether it repeats.
+    Its polynomial is one of quaternions (x, y, z, w), not normalized.
     """
 
-    curve: Any
-    start: float
-    end: float
-    closed: bool = False
-
-    def __post_init__(self) -> None:
-        _set_times(self)
-
-    @cached_property
-    def _derivatives(self) -> tuple[Any, Any, Any]:
-        return self.curve, self.curve.derivative(1), self.curve.derivative(2)
-
-    def __call__(self, t: float) -> Target:
-        if self.closed:
-            t = self.start + (t - self.start) % (self.end - self.start)
-        p, dp, ddp = (d(min(max(t, self.start), self.end)) for d in self._derivatives)
+    def _target(self, p: Vector, dp: Vector, ddp: Vector) -> Target:
         square = p.dot(p)
         omega = _twice_vector(dp, p) / square
         # The vector part of dp p̄ has the derivative ddp p̄, because that of dp times its own conjugate is zero.
         alpha = _twice_vector(ddp, p) / square - (2.0 * p.dot(dp) / square) * omega
-        if not self.closed and not self.start <= t < self.end:
-            omega, alpha = np.zeros((2, 3))
         return Target(_matrix(p / np.sqrt(square)), omega, alpha)
 
 
@@ -294,15 +289,6 @@ def _knots(points: Sequence[VectorLike] | Array, times: VectorLike) -> tuple[Arr
     if not (np.diff(knots) > 0.0).all():
         raise InputError(f"the times of a path must increase, got {knots.tolist()}")
     return array, knots
-
-
-def _set_times(spline: Spline | RotationSpline) -> None:
-    """Set when a spline begins and ends to move, or repeats."""
-    if spline.closed:
-        object.__setattr__(spline, "period", spline.end - spline.start)
-    else:
-        object.__setattr__(spline, "begin", spline.start)
-        object.__setattr__(spline, "duration", spline.end)
 
 
 def _twice_vector(a: Array, b: Array) -> Array:
