@@ -26,7 +26,8 @@ from eos_pin.errors import EosError
 from eos_pin.planning.planner import plan
 from eos_pin.planning.report import switches
 from eos_pin.robot.model import Robot
-from eos_pin.tasks.base import StackedTask, Task
+from eos_pin.tasks.base import Task
+from eos_pin.tasks.stacked import StackedTask
 from eos_pin.trajectories.through import WaypointPath
 
 #: Robots of the loops and the frame that does the task.

@@ -77,9 +77,11 @@ from .simulation import TaskForce as TaskForce
 from .simulation import simulate as simulate
 from .simulation import simulate_extended as simulate_extended
 from .simulation import simulate_sampled as simulate_sampled
+from .tasks import AxisTask as AxisTask
 from .tasks import ComTask as ComTask
 from .tasks import HeadingTask as HeadingTask
 from .tasks import OrientationTask as OrientationTask
+from .tasks import PointAxisTask as PointAxisTask
 from .tasks import PoseTask as PoseTask
 from .tasks import PositionTask as PositionTask
 from .tasks import RelativePositionTask as RelativePositionTask

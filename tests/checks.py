@@ -170,10 +170,12 @@ def every_task(robot):
             "relative xyz": eos_pin.RelativePositionTask(robot, end, middle),
             "orientation": eos_pin.OrientationTask(robot, end),
             "com xyz": eos_pin.ComTask(robot),
+            "axis": eos_pin.AxisTask(robot, end, "-x"),
         }
         stacked = {"orientation+z": ["orientation", "position z"]}
         if robot.n >= 6:
             tasks["pose"] = eos_pin.PoseTask(robot, end)
+            tasks["point axis"] = eos_pin.PointAxisTask(robot, end, (1.0, 2.0, -0.5))
         if robot.n > 6:
             stacked["position+com"] = ["position xyz", "com xyz"]
     tasks |= {name: eos_pin.StackedTask([tasks[part] for part in parts]) for name, parts in stacked.items()}

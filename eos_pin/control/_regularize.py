@@ -122,9 +122,10 @@ class AccelerationMap:
             kd_v: Gain on dv, (r,).
             v_d: Where v is held.
         """
-        if self._kernel is None:
-            return None
         task = self.chart.task
+        # The kernel compares velocities number by number.
+        if self._kernel is None or task.is_curved:
+            return None
         at, minus = task.kernel or task._at, None if task.is_vector else task._minus
         held = v_d + self.chart.basis.project(self.chart.q_bar) - self.chart.v_bar
         return LawKernel(*self._made_from, kp, kd, kp_v, kd_v, held, at, minus)

@@ -278,13 +278,11 @@ class TaskController(Controller):
 
     def task_acceleration(self, t: float, point: TaskPoint) -> TaskVector:
         """Task part of F*: ddz_d + kd (dz_d − dz) + kp (z_d − z); Eqs. (33), (36)."""
-        z_d, dz_d, ddz_d = self.reference(t)
-        pull = self.kp * self.task._minus(z_d, point.z)
+        target = self.reference(t)
         if not self.feedforward:
-            return pull - self.kd * point.dz
-        pull += self.kd * (dz_d - point.dz)
-        pull += ddz_d
-        return pull
+            rest = np.zeros(self.task.m)
+            target = Target(target.z, rest, rest)
+        return self.task.tracking_acceleration(point.z, point.dz, target, self.kp, self.kd)
 
     def holding_torque(self, q: JointVector) -> JointVector:
         # Without gravity where the controller leaves that to the plant.

@@ -19,15 +19,17 @@ from eos_pin.errors import InputError
 from eos_pin.experiments.strength import EASY, gravity_load, slowdown_for_torque
 from eos_pin.robot.loading import default_frame
 from eos_pin.robot.model import Robot
-from eos_pin.tasks.base import StackedTask, Task
+from eos_pin.tasks.axis import AxisTask, PointAxisTask
+from eos_pin.tasks.base import Task
 from eos_pin.tasks.orientation import HeadingTask, OrientationTask, PoseTask
 from eos_pin.tasks.position import ComTask, PositionTask
+from eos_pin.tasks.stacked import StackedTask
 from eos_pin.trajectories.base import Hold, Trajectory
 from eos_pin.trajectories.harmonic import Harmonic, circle, figure_eight, line
 from eos_pin.trajectories.stacked import StackedTrajectory
 
-TaskKind: TypeAlias = Literal["position", "pose", "orientation", "heading", "com"]
-TASK_KINDS: tuple[TaskKind, ...] = ("position", "pose", "orientation", "heading", "com")
+TaskKind: TypeAlias = Literal["position", "pose", "point-axis", "axis", "orientation", "heading", "com"]
+TASK_KINDS: tuple[TaskKind, ...] = ("position", "pose", "point-axis", "axis", "orientation", "heading", "com")
 Shape: TypeAlias = Literal["eight", "circle", "line", "hold"]
 SHAPES: tuple[Shape, ...] = ("eight", "circle", "line", "hold")
 #: Periods that are tried, the shortest first [s].
@@ -181,7 +183,9 @@ def regularity(task: Task, q: JointVector, chart: Chart | None = None) -> float:
     return float(np.linalg.svd(rows, compute_uv=False)[-1])
 
 
-def make_task(robot: Robot, kind: TaskKind = "position", *, frame: str = "", axes: str = "") -> Task:
+def make_task(
+    robot: Robot, kind: TaskKind = "position", *, frame: str = "", axes: str = "", tool_axis: str = "z"
+) -> Task:
     """Task of a kind; missing choices are made to suit the robot.
 
     Args:
@@ -189,6 +193,7 @@ def make_task(robot: Robot, kind: TaskKind = "position", *, frame: str = "", axe
         kind: What counts. On a planar robot a position has two coordinates, a pose two and the heading.
         frame: Frame that does the task; by default the one `default_frame` names.
         axes: Axes of a position, a centre of mass or a planar pose; by default as many as the joints can move it along.
+        tool_axis: Axis of the frame whose direction counts for `axis` and `point-axis`, such as `"-z"` or `"0 0 1"`.
 
     Raises:
         InputError: The joints cannot move the task in all its directions, in no posture.
@@ -200,11 +205,13 @@ def make_task(robot: Robot, kind: TaskKind = "position", *, frame: str = "", axe
     task: Task
     if kind in ("position", "com"):
         task = point(axes or _free_axes(robot, point, frame))
-    elif axes and (kind in ("orientation", "heading") or not _is_planar(robot, frame)):
+    elif axes and (kind in ("orientation", "heading", "axis", "point-axis") or not _is_planar(robot, frame)):
         raise InputError(
             f"axes {axes!r} do not apply to a task of {kind}: it counts all of its coordinates. Leave them out, or "
             "choose a task of position"
         )
+    elif kind in ("axis", "point-axis"):
+        task = (AxisTask if kind == "axis" else PointAxisTask)(robot, frame, tool_axis)
     elif kind == "orientation":
         task = OrientationTask(robot, frame)
     elif kind == "heading":

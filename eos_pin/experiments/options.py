@@ -81,21 +81,25 @@ class TaskOptions:
     """Task of the robot.
 
     Attributes:
-        task: What counts: position, pose (with orientation), orientation, heading (planar robots), or centre of mass.
+        task: What counts: position, pose (with orientation), point-axis (position and the direction of the tool's axis,
+            free to turn about it), axis, orientation, heading (planar robots), or centre of mass.
         axes: Axes that count, such as xy; by default all along which the frame can move.
         q0: Joints at the start [rad or m]: all in order, or some by name, such as panda_joint4=-2; by default, and for
             those not named, a posture far from singular and from the limits.
+        tool_axis: Axis of the frame that axis and point-axis direct: x, y, z, -x, -y, -z, or three numbers.
     """
 
-    task: Literal["position", "pose", "orientation", "heading", "com"] = "position"
+    task: Literal["position", "pose", "point-axis", "axis", "orientation", "heading", "com"] = "position"
     axes: str = ""
     q0: tuple[float | str, ...] = ()
+    tool_axis: str = "z"
 
     def make(self, robot: Robot) -> tuple[Task, JointVector]:
         """The task, and the joints to start from."""
         from eos_pin.experiments.defaults import make_task, rest_posture
 
-        task = make_task(robot, self.task, frame=robot.options.get("chain_to", ""), axes=self.axes)
+        frame = robot.options.get("chain_to", "")
+        task = make_task(robot, self.task, frame=frame, axes=self.axes, tool_axis=self.tool_axis)
         words = [word for word in self.q0 if isinstance(word, str)]
         if not words:
             return task, vector([float(x) for x in self.q0], robot.n, "q0") if self.q0 else rest_posture(task)

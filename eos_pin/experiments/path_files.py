@@ -18,10 +18,12 @@ from eos_pin._arrays import (
 from eos_pin.charts.atlas import Atlas
 from eos_pin.errors import InputError
 from eos_pin.experiments.defaults import ROOM
-from eos_pin.tasks.base import Point, StackedTask, Task
+from eos_pin.tasks.axis import PointAxisTask
+from eos_pin.tasks.base import Point, Task
 from eos_pin.tasks.extent import check_reach
 from eos_pin.tasks.orientation import HeadingTask, OrientationTask, PoseTask
 from eos_pin.tasks.position import ComTask, PositionTask
+from eos_pin.tasks.stacked import StackedTask
 from eos_pin.trajectories.base import Hold, Trajectory
 from eos_pin.trajectories.spline import check_rows, cubic_spline, rotation_spline, shifted
 from eos_pin.trajectories.stacked import StackedTrajectory
@@ -151,6 +153,9 @@ def _of_task(table: Waypoints, task: Task) -> _Coordinates:
             raise InputError(f"{source}: heading is for planar robots; a pose in space takes roll, pitch, yaw")
         return _Coordinates(None if table.position is None else _along(table, "xyz")[0], table.rotation)
     spare = (f"columns {', '.join(table.axes)} of {source} do not count: {task!r}",) if table.axes else ()
+    if isinstance(task, PointAxisTask) and table.rotation is None and table.heading is None:
+        # The direction of the axis stays.
+        return _Coordinates(_along(table, "xyz")[0])
     if isinstance(task, OrientationTask):
         if table.rotation is None:
             raise InputError(f"{source}: an orientation takes qw, qx, qy, qz or roll, pitch, yaw")

@@ -22,9 +22,10 @@ from eos_pin.planning.obstacles.clearance import Clearance, Obstacle
 from eos_pin.robot.loading import load_robot
 from eos_pin.simulation._recorder import joint_run
 from eos_pin.simulation.result import Result
-from eos_pin.tasks.base import StackedTask, Task
+from eos_pin.tasks.base import Task
 from eos_pin.tasks.orientation import HeadingTask, PoseTask
 from eos_pin.tasks.position import PositionTask
+from eos_pin.tasks.stacked import StackedTask
 from eos_pin.trajectories.base import Trajectory
 from eos_pin.trajectories.harmonic import Harmonic, figure_eight
 from eos_pin.trajectories.pose import PoseTrajectory

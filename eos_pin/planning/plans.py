@@ -19,8 +19,9 @@ from eos_pin._files import write_atomically
 from eos_pin.errors import InputError, PlanError, ResultError
 from eos_pin.planning.curves import spline
 from eos_pin.robot.model import Robot
-from eos_pin.tasks.base import Task, task_from_description
+from eos_pin.tasks.base import Task
 from eos_pin.tasks.batch import Manifold
+from eos_pin.tasks.stacked import task_from_description
 from eos_pin.trajectories.base import JointTarget, Target, Trajectory
 from eos_pin.trajectories.storage import described, path_from
 from eos_pin.trajectories.through import WaypointPath, sampled

@@ -205,7 +205,8 @@ class ExtendedSystem(System):
         ddq, power = self.accelerate(t, q, dq, self.controller.torque(t, q, dq, self.state))
         point = task._at(q, dq)
         dx = np.empty(2 * n + 1)
-        dx[:m] = task._local_rate(x[:m], x[n : n + m])
+        rate = x[n : n + m]
+        dx[:m] = task._local_rate(x[:m], rate, chart.z_bar) if task.is_curved else task._local_rate(x[:m], rate)
         dx[m:n] = x[n + m : 2 * n]
         # ddw = H⁻¹ (ddq − E), H⁻¹ = [G'; Vᵀ], −H⁻¹E = (Ġ' dq, 0)
         dx[n : n + m] = point.J.dot(ddq) + point.drift

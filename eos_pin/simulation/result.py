@@ -23,7 +23,8 @@ from eos_pin.robot.model import Robot
 from eos_pin.simulation._storage import read, write
 from eos_pin.simulation.disturbances import Friction
 from eos_pin.simulation.limit_use import use_of_limits
-from eos_pin.tasks.base import Task, task_from_description
+from eos_pin.tasks.base import Task
+from eos_pin.tasks.stacked import task_from_description
 
 #: Task acceleration beyond rounding [m/s², rad/s²].
 TASK_DEFICIT = 1e-6

@@ -1,10 +1,12 @@
-from .base import StackedTask as StackedTask
+from .axis import AxisTask as AxisTask
+from .axis import PointAxisTask as PointAxisTask
 from .base import Task as Task
 from .base import TaskPoint as TaskPoint
-from .base import task_from_description as task_from_description
 from .orientation import HeadingTask as HeadingTask
 from .orientation import OrientationTask as OrientationTask
 from .orientation import PoseTask as PoseTask
 from .position import ComTask as ComTask
 from .position import PositionTask as PositionTask
 from .position import RelativePositionTask as RelativePositionTask
+from .stacked import StackedTask as StackedTask
+from .stacked import task_from_description as task_from_description

@@ -10,7 +10,7 @@ rows of J are those of a point and of an angular velocity in the axes of the wor
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -32,18 +32,18 @@ from eos_pin._arrays import (
 from eos_pin._kernels.flat import Part
 from eos_pin._kernels.kinematics import Kinematics
 from eos_pin._kernels.overrides import stands_for
-from eos_pin.errors import InputError, UnknownNameError
+from eos_pin.errors import InputError
 from eos_pin.robot._data import workspace
 from eos_pin.robot.model import Robot
 from eos_pin.robot.postures import JointsLike
 from eos_pin.tasks._flat import Point as Point
 from eos_pin.tasks._flat import PointLike as PointLike
-from eos_pin.tasks.target import Hold
+from eos_pin.tasks.target import Hold, Target
 
 #: The axes of velocities and Jacobians.
 WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
-_KINDS: dict[str, type[Task]] = {}
+KINDS: dict[str, type[Task]] = {}
 #: The hooks of a task by their names before 0.2, and the methods that call them.
 _HOOKS = {"_z": "compute_point", "_J": "compute_jacobian", "_drift": "compute_drift"}
 _EVALUATIONS = ("value", "linearize", "at")
@@ -92,6 +92,7 @@ class Task(Checked, ABC):
         arguments: Names of what its constructor takes besides the robot; attributes of the same names keep it.
         kernel: Object that computes `value`, `linearize` and `at` in one call; None where the hooks do.
         is_vector: Whether `minus` is z1 − z0.
+        is_curved: Whether the axes of dz turn from point to point, so that `tracking_acceleration` compares velocities.
     """
 
     robot: Robot
@@ -106,6 +107,7 @@ class Task(Checked, ABC):
     arguments: tuple[str, ...] = ()
     kernel: Any = None
     is_vector: bool = True
+    is_curved: bool = False
     #: Whether the placements of all frames are computed before the hooks; the package's own tasks compute theirs.
     _needs_frames: bool = True
     #: Whether `value`, `linearize` and `at` are what the hooks give.
@@ -132,7 +134,7 @@ class Task(Checked, ABC):
         stands_for(cls, "frame_parts", *hooks, *_EVALUATIONS, "minus", "plus", off=Task.frame_parts)
         if kind:
             cls.kind = kind
-            _KINDS[kind] = cls
+            KINDS[kind] = cls
 
     def __init__(self, robot: Robot, labels: Sequence[str], units: Sequence[str], size: int | None = None) -> None:
         self.robot = robot
@@ -249,14 +251,35 @@ class Task(Checked, ABC):
         return z + delta
 
     @checked
-    def local_rate(self, delta: TaskVector, dz: TaskVector) -> TaskVector:
-        """Time derivative of the local coordinates `delta = minus(z, z_bar)` where z moves with velocity dz."""
+    def local_rate(self, delta: TaskVector, dz: TaskVector, z_bar: Point | None = None) -> TaskVector:
+        """Time derivative of the local coordinates `delta = minus(z, z_bar)` where z moves with velocity dz.
+
+        Only where `is_curved` does it depend on z_bar.
+        """
         return dz
 
     @checked
     def local_margin(self, delta: TaskVector) -> float:
         """Positive where `delta` is well inside the domain of the local coordinates; 1 at its centre."""
         return 1.0
+
+    def tracking_acceleration(
+        self, z: Point, dz: TaskVector, target: Target, kp: TaskVector, kd: TaskVector
+    ) -> TaskVector:
+        """Task acceleration with which the error obeys ε̈ + kd ε̇ + kp ε = 0; Eqs. (33), (36).
+
+        Args:
+            z: Task point.
+            dz: Task velocity.
+            target: Point, velocity and acceleration to be tracked.
+            kp: Gain on the error, (m,) [1/s²].
+            kd: Gain on its rate, (m,) [1/s].
+        """
+        z_d, dz_d, ddz_d = target
+        pull = kp * self._minus(z_d, z)
+        pull += kd * (dz_d - dz)
+        pull += ddz_d
+        return pull
 
     def point(self, value: PointLike) -> Point:
         """Flat task point from a point in any accepted form.
@@ -298,102 +321,3 @@ class Task(Checked, ABC):
     def __repr__(self) -> str:
         words = [f"{key}={value!r}" for key, value in self.describe().items() if key != "kind" and value]
         return f"{type(self).__name__}({', '.join(words)})"
-
-
-class StackedTask(Task, kind="stacked"):
-    """Several tasks at once, their coordinates one after the other.
-
-    Args:
-        tasks: Two or more tasks of the same robot.
-
-    Raises:
-        InputError: No tasks, tasks of different robots, or more coordinates than joints.
-    """
-
-    def __init__(self, tasks: Sequence[Task]) -> None:
-        if not tasks:
-            raise InputError("StackedTask needs at least one task")
-        if any(task.robot is not tasks[0].robot for task in tasks):
-            raise InputError("the parts of a StackedTask must belong to one Robot object, these belong to several")
-        self.tasks = tuple(tasks)
-        self._needs_frames = any(task._needs_frames for task in tasks)
-        labels = [f"{label}{i}" if len(tasks) > 1 else label for i, t in enumerate(tasks, 1) for label in t.labels]
-        if len({label for t in tasks for label in t.labels}) == sum(t.m for t in tasks):
-            labels = [label for t in tasks for label in t.labels]
-        units = [unit for t in tasks for unit in t.units]
-        super().__init__(tasks[0].robot, labels, units, sum(t.size for t in tasks))
-        # Its points begin with those of the first task.
-        self.frame, self.axes, self.seen_from = tasks[0].frame, tasks[0].axes, tasks[0].seen_from
-        self._by_hooks = all(task._by_hooks for task in tasks)
-        self._slices = []
-        point = step = 0
-        for task in tasks:
-            self._slices.append((task, slice(point, point + task.size), slice(step, step + task.m)))
-            point, step = point + task.size, step + task.m
-
-    def compute_point(self, data: pin.Data) -> Point:
-        return np.concatenate([task.compute_point(data) for task in self.tasks])
-
-    def compute_jacobian(self, data: pin.Data) -> Jacobian:
-        return np.concatenate([self._matrix(task.compute_jacobian(data)) for task in self.tasks])
-
-    def compute_drift(self, data: pin.Data) -> TaskVector:
-        return np.concatenate([task.compute_drift(data) for task in self.tasks])
-
-    # A part with another way to its values than the hooks is asked itself.
-    def value(self, q: JointVector) -> Point:
-        return super()._value(q) if self._by_hooks else np.concatenate([task._value(q) for task in self.tasks])
-
-    def linearize(self, q: JointVector) -> tuple[Point, Jacobian]:
-        if self._by_hooks:
-            return super()._linearize(q)
-        z, J = zip(*(task._linearize(q) for task in self.tasks), strict=True)
-        return np.concatenate(z), np.concatenate(J)
-
-    def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
-        if self._by_hooks:
-            return super()._at(q, dq)
-        return TaskPoint(*map(np.concatenate, zip(*(task._at(q, dq) for task in self.tasks), strict=True)))
-
-    def frame_parts(self) -> tuple[Part, ...] | None:
-        parts = [task.frame_parts() for task in self.tasks]
-        return None if None in parts else tuple(part for some in parts for part in some or ())
-
-    def minus(self, z1: Point, z0: Point) -> TaskVector:
-        return np.concatenate([task._minus(z1[p], z0[p]) for task, p, _ in self._slices])
-
-    def plus(self, z: Point, delta: TaskVector) -> Point:
-        return np.concatenate([task._plus(z[p], delta[d]) for task, p, d in self._slices])
-
-    def local_rate(self, delta: TaskVector, dz: TaskVector) -> TaskVector:
-        return np.concatenate([task._local_rate(delta[d], dz[d]) for task, _, d in self._slices])
-
-    def local_margin(self, delta: TaskVector) -> float:
-        return min(task._local_margin(delta[d]) for task, _, d in self._slices)
-
-    def point(self, value: PointLike) -> Point:
-        array = vector(value, self.size, self._point_name)  # type: ignore[arg-type]
-        return np.concatenate([task.point(array[p]) for task, p, _ in self._slices])
-
-    def describe(self) -> dict[str, Any]:
-        return {"kind": "stacked", "tasks": [task.describe() for task in self.tasks]}
-
-
-def task_from_description(robot: Robot, description: Mapping[str, Any]) -> Task:
-    """Task that `Task.describe` described, on `robot`.
-
-    Raises:
-        InputError: The description is not of a task this version knows.
-        UnknownNameError: The robot has no such frame.
-    """
-    words = dict(description)
-    kind = words.pop("kind", None)
-    try:
-        if kind == StackedTask.kind:
-            return StackedTask([task_from_description(robot, part) for part in words["tasks"]])
-        return _KINDS[kind](robot, **words)
-    except UnknownNameError:
-        raise
-    except (KeyError, TypeError) as error:
-        kinds = ", ".join(sorted(_KINDS))
-        raise InputError(f"not the description of a task: {dict(description)!r}; the kinds are {kinds}") from error

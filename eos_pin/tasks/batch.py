@@ -15,8 +15,9 @@ from jaxtyping import Bool, Float
 
 from eos_pin._arrays import Array
 from eos_pin.robot.model import Robot
-from eos_pin.tasks.base import StackedTask, Task
+from eos_pin.tasks.base import Task
 from eos_pin.tasks.frame import FrameTask
+from eos_pin.tasks.stacked import StackedTask
 
 #: Longest step of one joint in Newton's method [rad or m].
 LONGEST = 0.5

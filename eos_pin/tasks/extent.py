@@ -13,9 +13,10 @@ from jaxtyping import Float
 from eos_pin._arrays import Array, Vector
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
-from eos_pin.tasks.base import StackedTask, Task
+from eos_pin.tasks.base import Task
 from eos_pin.tasks.orientation import PoseTask
 from eos_pin.tasks.position import ComTask, PositionTask
+from eos_pin.tasks.stacked import StackedTask
 
 #: Units in which people have lengths, the largest first, and how many of them are a metre.
 UNITS = {"centimetres": 100.0, "millimetres": 1000.0, "micrometres": 1e6}

@@ -40,7 +40,7 @@ class OrientationTask(FrameTask, kind="orientation"):
     def plus(self, z: Point, delta: TaskVector) -> Point:
         return pin.exp3(delta).dot(z.reshape(3, 3)).ravel()
 
-    def local_rate(self, delta: TaskVector, dz: TaskVector) -> TaskVector:
+    def local_rate(self, delta: TaskVector, dz: TaskVector, z_bar: Point | None = None) -> TaskVector:
         # Jexp3 is for a velocity in the moving frame; transposed it is for one in the frame at rest. Jlog3 would be its
         # inverse for rotations up to π only, and the trial points of an integrator go beyond.
         return np.linalg.solve(pin.Jexp3(delta).T, dz)
@@ -79,7 +79,7 @@ class PoseTask(FrameTask, kind="pose"):
     def plus(self, z: Point, delta: TaskVector) -> Point:
         return np.concatenate((z[:3] + delta[:3], pin.exp3(delta[3:]).dot(z[3:].reshape(3, 3)).ravel()))
 
-    def local_rate(self, delta: TaskVector, dz: TaskVector) -> TaskVector:
+    def local_rate(self, delta: TaskVector, dz: TaskVector, z_bar: Point | None = None) -> TaskVector:
         return np.concatenate((dz[:3], np.linalg.solve(pin.Jexp3(delta[3:]).T, dz[3:])))
 
     def local_margin(self, delta: TaskVector) -> float:

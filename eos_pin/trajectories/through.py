@@ -8,21 +8,26 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from eos_pin._arrays import Array, VectorLike, frozen_copy, vector
 from eos_pin.errors import InputError
-from eos_pin.tasks.base import PointLike, StackedTask, Task
+from eos_pin.tasks import _sphere
+from eos_pin.tasks.axis import AxisTask
+from eos_pin.tasks.base import PointLike, Task
 from eos_pin.tasks.extent import check_reach
 from eos_pin.tasks.orientation import HeadingTask, OrientationTask, PoseTask
+from eos_pin.tasks.stacked import StackedTask
 from eos_pin.trajectories.base import Hold, Target, Trajectory
 from eos_pin.trajectories.harmonic import Harmonic, circle, figure_eight, line
 from eos_pin.trajectories.stacked import StackedTrajectory
 from eos_pin.trajectories.waypoints import read_waypoints
 
+#: Kinds of parts of a task point, by how they are interpolated.
+Kind: TypeAlias = Literal["number", "rotation", "angle", "direction"]
 #: A gap between way points is a jump where it is this many times the median, and this long in metres and radians.
 JUMP, LONG = 20.0, 0.05
 #: First and last way point of a closed path are the same up to this [m, rad].
@@ -33,7 +38,8 @@ SAME = 1e-6
 class WaypointPath(Trajectory):
     """A curve through way points with continuous acceleration; it repeats if it is closed.
 
-    Numbers follow cubic splines; a rotation follows the spline of its quaternion, scaled to length 1.
+    Numbers follow cubic splines; a rotation follows the spline of its quaternion, a direction that of its vector, both
+    scaled to length 1.
 
     Attributes:
         task: The task whose points these are.
@@ -57,11 +63,11 @@ class WaypointPath(Trajectory):
             object.__setattr__(self, "duration", float(self.times[-1]))
 
     @cached_property
-    def _channels(self) -> list[tuple[slice, bool, Any]]:
-        """For each part of the task: where it is in z, whether it is a rotation, and its spline with derivatives."""
+    def _channels(self) -> list[tuple[slice, Kind, Any]]:
+        """For each part of the task: where it is in z, its kind, and its spline with derivatives."""
         return [
-            (part, turning, self._spline(self.points[:, part], turning, angle))
-            for part, turning, angle in channels(self.task)
+            (part, kind, self._spline(self.points[:, part], kind == "rotation", kind == "angle"))
+            for part, kind in channels(self.task)
         ]
 
     def _spline(self, values: Array, turning: bool, angle: bool) -> Any:
@@ -108,10 +114,12 @@ class WaypointPath(Trajectory):
         inside = np.clip(t, self.times[0], self.times[-1]) if not self.closed else t
         z = np.empty((len(t), self.task.size))
         rates: list[list[Array]] = [[], []]
-        for part, turning, (value, slope, bend) in self._channels:
+        for part, kind, (value, slope, bend) in self._channels:
             p, dp, ddp = value(inside), slope(inside), bend(inside)
-            if turning:
+            if kind == "rotation":
                 p, dp, ddp = _rotation(p, dp, ddp)
+            elif kind == "direction":
+                p, dp, ddp = _direction(p, dp, ddp)
             z[:, part] = p
             rates[0].append(dp)
             rates[1].append(ddp)
@@ -126,17 +134,19 @@ class WaypointPath(Trajectory):
         return {"points": self.points.tolist(), "times": self.times.tolist(), "closed": self.closed}
 
 
-def channels(task: Task) -> list[tuple[slice, bool, bool]]:
-    """Parts of a task point: where each is, whether it is a rotation, and whether it is an angle."""
+def channels(task: Task) -> list[tuple[slice, Kind]]:
+    """Parts of a task point: where each is, and its kind."""
     if isinstance(task, StackedTask):
-        found, first = [], 0
+        found: list[tuple[slice, Kind]] = []
+        first = 0
         for part in task.tasks:
-            found += [(slice(s.start + first, s.stop + first), r, a) for s, r, a in channels(part)]
+            found += [(slice(s.start + first, s.stop + first), kind) for s, kind in channels(part)]
             first += part.size
         return found
     if isinstance(task, PoseTask):
-        return [(slice(0, 3), False, False), (slice(3, 12), True, False)]
-    return [(slice(0, task.size), isinstance(task, OrientationTask), isinstance(task, HeadingTask))]
+        return [(slice(0, 3), "number"), (slice(3, 12), "rotation")]
+    kinds: dict[type[Task], Kind] = {OrientationTask: "rotation", HeadingTask: "angle", AxisTask: "direction"}
+    return [(slice(0, task.size), next((kinds[c] for c in kinds if isinstance(task, c)), "number"))]
 
 
 def waypoint_path(
@@ -219,17 +229,17 @@ def read_path(path: str | Path, task: Task, z: Array, *, closed: bool = False) -
     """
     table = read_waypoints(path)
     rows = np.repeat(z[None], len(table), axis=0)
-    for part, turning, angle in channels(task):
-        width = part.stop - part.start
+    for part, kind in channels(task):
+        width, turning, angle = part.stop - part.start, kind == "rotation", kind == "angle"
         if table.values is not None and table.values.shape[1] in (task.size, width):
             rows[:, part] = table.values[:, part] if table.values.shape[1] == task.size else table.values
         elif turning and table.rotation is not None:
             rows[:, part] = table.rotation.reshape(-1, 9)
         elif angle and table.heading is not None:
             rows[:, part] = table.heading[:, None]
-        elif not turning and not angle and table.position is not None and table.position.shape[1] >= width:
+        elif kind == "number" and table.position is not None and table.position.shape[1] >= width:
             rows[:, part] = table.position[:, :width]
-        elif not turning:
+        elif kind not in ("rotation", "direction"):
             raise InputError(
                 f"{path} has the columns {', '.join(table.columns)}, which do not give {width} coordinates "
                 f"({', '.join(task.labels)}) of the task {task!r}"
@@ -269,6 +279,17 @@ def _rotation(s: Array, ds: Array, dds: Array) -> tuple[Array, Array, Array]:
     )  # fmt: skip
     # The angular velocity is the vector part of 2 ṗ p*, the acceleration that of 2 p̈ p*.
     return R, _times_conjugate(dp, p), _times_conjugate(ddp, p)
+
+
+def _direction(s: Array, ds: Array, dds: Array) -> tuple[Array, Array, Array]:
+    """Directions, velocities and accelerations of vectors that need not have length 1."""
+    length = np.linalg.norm(s, axis=1)[:, None]
+    a = s / length
+    rate = (a * ds).sum(axis=1)[:, None]
+    da = (ds - a * rate) / length
+    # Along a itself nothing counts.
+    dda = (dds - 2.0 * da * rate) / length
+    return a, *_sphere.coordinates(a, da, dda)
 
 
 def _times_conjugate(a: Array, p: Array) -> Array:

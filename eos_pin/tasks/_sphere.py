@@ -1,0 +1,156 @@
+"""Directions: points of the sphere S², their tangent bases, logarithm, and the law of a direction that is tracked.
+
+The sphere has no frame that is smooth everywhere. The basis of a direction a is that of a fixed pole, carried to a
+along the great circle between them: it depends on a alone, and is smooth but at the point opposite to the pole, put
+where no tool is meant to point. Velocities are coordinates in the basis of the direction that moves; what is compared
+between two directions is compared in space, so that no motion depends on where the pole is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from eos_pin._arrays import Array, TaskVector, Vector, as_floats, frozen_copy, vector
+from eos_pin.errors import InputError
+
+#: Axes of the pole's frame; the pole is the third.
+_POLE = frozen_copy(pin.exp3(np.array([0.9, -0.5, 0.3])))
+#: Least (sin θ)/θ in velocities across the great circle; it counts within 9° of the opposite direction only.
+_LEAST = 0.05
+
+Basis = Float[np.ndarray, "2 3"]
+
+
+def basis(a: Float[np.ndarray, " 3"]) -> Basis:
+    """Orthonormal basis of the plane normal to a direction, as rows; with the direction it is right-handed."""
+    x, y, z = a.dot(_POLE).tolist()
+    # Opposite to the pole itself any basis is as good.
+    c = 1.0 / (1.0 + z) if z > -1.0 else 0.0
+    return np.array([[1.0 - c * x * x, -c * x * y, -x], [-c * x * y, 1.0 - c * y * y, -y]]).dot(_POLE.T)
+
+
+def bending(a: Vector, dz: TaskVector) -> TaskVector:
+    """Rate at which the coordinates of a velocity change because the basis turns as its direction moves.
+
+    Args:
+        a: The direction.
+        dz: Its velocity in its own basis [rad/s].
+    """
+    x, y, z = a.dot(_POLE).tolist()
+    da = dz.dot(basis(a)).dot(_POLE)
+    rate = (x * float(da[1]) - y * float(da[0])) / (1.0 + z) if z > -1.0 else 0.0
+    return np.array([-rate * dz[1], rate * dz[0]])
+
+
+class Arc(NamedTuple):
+    """Great circle from one direction to another.
+
+    Attributes:
+        angle: Its length [rad].
+        along: Unit vector along it at its start, in the basis there; the first of the basis where angle is 0 or π.
+    """
+
+    angle: float
+    along: Vector
+
+
+def arc(a1: Vector, E0: Basis, a0: Vector) -> Arc:
+    """Shortest great circle from a0, with the basis E0, to a1."""
+    t = E0.dot(a1)
+    sine = math.sqrt(t.dot(t))
+    along = t / sine if sine > 0.0 else np.array([1.0, 0.0])
+    return Arc(math.atan2(sine, float(a0.dot(a1))), along)
+
+
+def log(a1: Vector, a0: Vector) -> TaskVector:
+    """Logarithm on the sphere: the step from a0 to a1 in the basis of a0."""
+    angle, along = arc(a1, basis(a0), a0)
+    return angle * along
+
+
+def exp(a: Vector, delta: TaskVector) -> Vector:
+    """Direction that a step from a leads to."""
+    angle = math.sqrt(delta.dot(delta))
+    ahead = math.cos(angle) * a + _sinc(angle) * delta.dot(basis(a))
+    return ahead / math.sqrt(ahead.dot(ahead))
+
+
+def local_rate(delta: TaskVector, dz: TaskVector, a_bar: Vector) -> TaskVector:
+    """Rate of `delta` where the direction exp(a_bar, delta) moves with dz."""
+    angle = math.sqrt(delta.dot(delta))
+    along = delta / angle if angle > 0.0 else np.array([1.0, 0.0])
+    across = np.array([-along[1], along[0]])
+    E = basis(a_bar)
+    da = dz.dot(basis(exp(a_bar, delta)))
+    forward = math.cos(angle) * along.dot(E) - math.sin(angle) * a_bar
+    return da.dot(forward) * along + da.dot(across.dot(E)) / _sinc(angle) * across
+
+
+def tracking_acceleration(
+    a: Vector, dz: TaskVector, target: tuple[Vector, TaskVector, TaskVector], kp: Any, kd: Any
+) -> TaskVector:
+    """Acceleration with which the error of a direction obeys ε̈ + kd ε̇ + kp ε = 0.
+
+    ε is the logarithm of a at the target's direction a_d, in a frame F that goes with a_d and does not roll about it:
+    a = F s(ε), s = ((sin θ / θ) ε, cos θ), θ = |ε|. Two derivatives of it, solved for ä.
+
+    Args:
+        a: The direction.
+        dz: Its velocity in its own basis [rad/s].
+        target: Direction, velocity and acceleration of the target, in the basis of its own direction.
+        kp: Gains on the error [1/s²].
+        kd: Gains on its rate [1/s].
+    """
+    a_d, dz_d, ddz_d = target
+    E, E_d = basis(a), basis(a_d)
+    omega = np.cross(a_d, dz_d.dot(E_d))
+    alpha = np.cross(a_d, (ddz_d - bending(a_d, dz_d)).dot(E_d))
+    angle, r = arc(a, E_d, a_d)
+    t = np.array([-r[1], r[0]])
+    sine, cosine, ratio = math.sin(angle), math.cos(angle), _sinc(angle)
+    # Velocity seen from F, along and across the great circle, and from it the rate of ε.
+    seen = dz.dot(E) - np.cross(omega, a)
+    rate_r = float(seen.dot(cosine * r.dot(E_d) - sine * a_d))
+    rate_t = float(seen.dot(t.dot(E_d))) / max(ratio, _LEAST)
+    law = -kd * (rate_r * r + rate_t * t) - kp * (angle * r)
+    law_r, law_t, bend = float(law.dot(r)), float(law.dot(t)), _bend(angle)
+    s_r = cosine * law_r - sine * rate_r**2 + bend * rate_t**2
+    s_t = ratio * law_t + 2.0 * bend * rate_r * rate_t
+    s_3 = -sine * law_r - cosine * rate_r**2 - ratio * rate_t**2
+    dda = (s_r * r + s_t * t).dot(E_d) + s_3 * a_d
+    dda += 2.0 * np.cross(omega, seen) + np.cross(alpha, a) + np.cross(omega, np.cross(omega, a))
+    return E.dot(dda) + bending(a, dz)
+
+
+def coordinates(a: Array, da: Array, dda: Array) -> tuple[Array, Array]:
+    """Velocity and acceleration of a moving direction in its own basis, from its derivatives in space; in rows."""
+    dz = np.array([basis(x).dot(y) for x, y in zip(a, da, strict=True)]).reshape(-1, 2)
+    ddz = [basis(x).dot(y) + bending(x, v) for x, y, v in zip(a, dda, dz, strict=True)]
+    return dz, np.reshape(ddz, (-1, 2))
+
+
+def direction(value: Any, name: str) -> Vector:
+    """Unit vector from three numbers, scaled to length 1.
+
+    Raises:
+        InputError: Not three numbers, or all zero.
+    """
+    a = vector(as_floats(value, name).ravel(), 3, name)
+    length = float(np.linalg.norm(a))
+    if not 1e-9 < length < math.inf:
+        raise InputError(f"{name} must be a direction, three numbers that are not all zero; got {a.tolist()}")
+    return a if abs(length - 1.0) < 1e-15 else a / length
+
+
+def _sinc(x: float) -> float:
+    return math.sin(x) / x if abs(x) > 1e-8 else 1.0
+
+
+def _bend(x: float) -> float:
+    """(x cos x − sin x) / x²."""
+    return (x * math.cos(x) - math.sin(x)) / (x * x) if abs(x) > 1e-3 else -x / 3.0 * (1.0 - 0.1 * x * x)

@@ -1,0 +1,113 @@
+"""Tasks of a tool's axis: the law of its angle, turns about it, opposite directions, and runs of both kinds."""
+
+from __future__ import annotations
+
+import checks
+import numpy as np
+import pinocchio as pin
+import pytest
+from checks import EXACT
+
+from eos_pin import (
+    Atlas,
+    AxisTask,
+    EosController,
+    Hold,
+    InputError,
+    PointAxisTask,
+    make_task,
+    simulate,
+    simulate_extended,
+)
+from eos_pin.trajectories.through import waypoint_path
+
+
+def angle_between(a, b):
+    return np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)
+
+
+def decayed(angle, t):
+    """Solution of ε̈ + 4 ε̇ + 4 ε = 0 from rest."""
+    return angle * (1.0 + 2.0 * t) * np.exp(-2.0 * t)
+
+
+@pytest.mark.parametrize("angle", [0.5, 2.5])
+def test_axis_angle_obeys_the_law_that_was_designed(panda, angle):
+    task, (q, _) = AxisTask(panda, checks.tip(panda)), checks.random_state(panda, 4)
+    goal = task.plus(task.value(q), angle * np.array([0.6, -0.8]))
+    controller = EosController(task, Hold(goal, 2), kp=4.0, kd=4.0, smooth=False)
+    run = simulate(panda, controller, q, duration=1.0, rtol=1e-11, atol=1e-12, record_rate=20.0)
+    found = [angle_between(z, goal) for z in run.z]
+    np.testing.assert_allclose(found, decayed(angle, run.t), atol=1e-9)
+
+
+def test_point_axis_runs_agree_in_both_equations_of_motion(ur5):
+    task = PointAxisTask(ur5, "tool0")
+    q = np.array([0.3, -1.2, 1.4, -0.8, -1.3, 0.2])
+    goal = task.plus(task.value(q), np.array([0.05, -0.04, 0.03, 0.2, -0.1]))
+    controller = EosController(task, Hold(goal, 5))
+    options = {"duration": 0.3, "rtol": 1e-11, "atol": 1e-12, "record_rate": 10.0}
+    joints = simulate(ur5, controller, q, **options)
+    extended = simulate_extended(ur5, controller, q, atlas=Atlas(task), **options)
+    np.testing.assert_allclose(extended.q, joints.q, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [AxisTask, PointAxisTask])
+def test_axis_task_does_not_see_turns_about_the_axis(ur5, kind):
+    task, (q, dq) = kind(ur5, "tool0", "z"), checks.random_state(ur5, 3)
+    # The last joint of this robot turns the tool about its z axis, to the digits of its URDF file.
+    turned = q + 1.3 * np.eye(6)[5]
+    spun = dq + 2.0 * np.eye(6)[5]
+    before, after = task.at(q, dq), task.at(turned, spun)
+    np.testing.assert_allclose(after.z, before.z, atol=1e-10)
+    np.testing.assert_allclose(after.dz, before.dz, atol=1e-10)
+    np.testing.assert_allclose(after.drift, before.drift, atol=1e-10)
+    np.testing.assert_allclose(before.J[:, 5], 0.0, atol=1e-10)
+
+
+def test_axis_opposite_to_its_goal_turns_along_the_first_vector_of_its_basis(panda):
+    task, (q, dq) = AxisTask(panda, checks.tip(panda)), checks.random_state(panda, 1)
+    z = task.value(q)
+    step = task.minus(-z, z)
+    np.testing.assert_allclose(np.linalg.norm(step), np.pi, atol=EXACT)
+    np.testing.assert_allclose(task.plus(z, step), -z, atol=10 * EXACT)
+    controller = EosController(task, Hold(-z, 2))
+    assert np.isfinite(controller.torque(0.0, q, dq, controller.start(0.0, q, dq))).all()
+
+
+def test_axis_of_a_pole_has_an_orthonormal_basis_everywhere():
+    from eos_pin.tasks import _sphere
+
+    pole = _sphere._POLE[:, 2]
+    for a in (pole, -pole, *np.eye(3), *-np.eye(3)):
+        frame = np.vstack((_sphere.basis(a), a))
+        np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e2 * EXACT)
+        assert np.isfinite(_sphere.bending(a, np.ones(2))).all()
+
+
+def test_direction_path_has_its_own_derivatives(ur5):
+    task = PointAxisTask(ur5, "tool0")
+    random = np.random.default_rng(2)
+    points = np.c_[random.uniform(-0.3, 0.3, (5, 3)), random.normal([0.0, 0.0, -1.0], 0.3, (5, 3))]
+    path, t, h = waypoint_path(task, points, [0.0, 1.0, 2.0, 3.0, 4.0]), 1.37, 1e-5
+    z, dz, ddz = path(t)
+    ahead, behind = path(t + h), path(t - h)
+    np.testing.assert_allclose(np.linalg.norm(z[3:]), 1.0, atol=EXACT)
+    np.testing.assert_allclose((task.minus(ahead.z, z) - task.minus(behind.z, z)) / (2 * h), dz, atol=1e-6)
+    np.testing.assert_allclose((ahead.dz - behind.dz) / (2 * h), ddz, atol=1e-6)
+
+
+@pytest.mark.parametrize("axis", ["w", "0 0", "a b c", (0.0, 0.0, 0.0), (1.0, 2.0)])
+def test_tool_axis_is_refused_where_it_is_none(ur5, axis):
+    with pytest.raises(InputError):
+        AxisTask(ur5, "tool0", axis)
+
+
+def test_tool_axis_is_taken_by_name_and_by_numbers(ur5):
+    q, _ = checks.random_state(ur5)
+    R = ur5.placement(q, "tool0").rotation
+    for axis, column in (("x", R[:, 0]), ("-z", -R[:, 2]), ("0 2 0", R[:, 1]), ("0, 3, 4", R @ [0.0, 0.6, 0.8])):
+        task = make_task(ur5, "point-axis", tool_axis=axis)
+        np.testing.assert_allclose(task.value(q)[3:], column, atol=10 * EXACT)
+        pose = ur5.placement(q, "tool0")
+        np.testing.assert_allclose(task.point(pin.SE3(pose)), task.value(q), atol=10 * EXACT)
