@@ -88,7 +88,7 @@ class AxisTask(Task, kind="axis"):
 
     def point(self, value: PointLike) -> Point:
         turned = value.rotation.dot(self._axis) if isinstance(value, pin.SE3) else value
-        return _sphere.direction(turned, f"a point of {self!r}")
+        return _sphere.direction(turned, self._point_name)
 
 
 class PointAxisTask(StackedTask, kind="point_axis"):
