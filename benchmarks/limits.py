@@ -9,10 +9,12 @@ was at the start. A few runs are repeated at shorter control periods: where the 
 continuous, the most it changes from one period to the next shrinks with the period.
 
 As many runs are made with a payload of up to three times what the arm is rated for, and with joints too weak for
-gravity somewhere. There limits are passed, but only by joints that are lost: wherever a joint leaves its bounds of
-acceleration, a linear program looks for torques within limits that keep it and all joints that are not lost within
-theirs, while those that are lost brake with all they have. Where there are any, the joint could keep its limits, and
-counts if it passes them.
+gravity somewhere. There limits are passed, and linear programs of their own judge each time a joint passes its limits,
+in every period from where it first left its bounds of acceleration:
+
+hopeless: no torques within limits keep the joint within its bounds. Hopeless joints brake with all they have.
+excluded: torques keep it, but none that keep all joints before it, in the order of `keeping_order`, that are kept.
+could be kept: neither; if that is so in all these periods, the controller is wrong.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ import os
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,9 +59,11 @@ PERIODS = (1e-3, 5e-4, 2.5e-4)
 #: Control period of runs with payloads and weak joints, whose multiples are exact [s].
 EXACT = 2.0**-10
 #: Robots that get payloads and weak joints, and what they are rated for [kg].
-RATED = {"panda": 3.0, "ur5": 5.0}
+RATED = {"panda": 3.0, "ur5": 5.0, "kinova": 2.6}
 #: A joint passes its limits beyond this, of position [rad] and of velocity, relative.
 POSITION, VELOCITY = 1e-5, 1e-3
+#: Verdict on a joint that passes limits that it could keep.
+WRONG = "could be kept"
 
 
 def example(seed: int, period: float = 1e-3, *, rate: float = 200.0) -> Result:
@@ -118,7 +123,7 @@ def loaded(seed: int) -> tuple[Robot, str, np.random.Generator]:
     return replace(robot, model=model), frame, random
 
 
-def weak_run(seed: int) -> tuple[Result, JointLimits, Robot]:
+def weak_run(seed: int, period: float = EXACT) -> tuple[Result, LimitedEosController]:
     """Run of a robot with a payload and weak joints, every control period of it."""
     robot, frame, random = loaded(seed)
     task = PositionTask(robot, frame)
@@ -128,40 +133,52 @@ def weak_run(seed: int) -> tuple[Result, JointLimits, Robot]:
     step = random.normal(size=3)
     step *= random.uniform(0.0, 0.7) / np.linalg.norm(step)
     path = Geodesic(task, np.array([z, z + step, z]), np.array([0.0, 0.5 * BACK, BACK]))
-    controller = LimitedEosController(task, path, control_period=EXACT)
-    run = simulate_sampled(robot, controller, q, duration=2.0, control_period=EXACT, record_rate=1.0 / EXACT)
-    return run, controller.limits, robot
+    controller = LimitedEosController(task, path, control_period=period)
+    run = simulate_sampled(robot, controller, q, duration=2.0, control_period=period, record_rate=1.0 / period)
+    return run, controller
 
 
-def could_be_kept(robot: Robot, limits: JointLimits, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray, j: int) -> bool:
-    """Whether torques keep joint j and all that are not lost within their bounds while the others brake.
+def verdict(robot: Robot, limits: JointLimits, order: Sequence[int], q: np.ndarray, dq: np.ndarray, joint: int) -> str:
+    """Whether a joint is hopeless, excluded or could be kept.
 
     Args:
         robot: The robot.
         limits: Its limits.
+        order: Order in which joints are kept.
         q: Joints.
         dq: Joint velocities.
-        ddq: Accelerations; joints that do not keep their bounds are lost.
-        j: The joint.
+        joint: The joint.
     """
     least, most = limits.accelerations(q, dq, EXACT)
-    off = 1e-3 * (1.0 + np.abs(ddq))
-    low, high = ddq < least - off, ddq > most + off
-    low[j] = high[j] = False
-    torques = np.column_stack((np.where(low, limits.torque, -limits.torque), limits.torque))
-    torques[high, 1] = -limits.torque[high]
-    kept = ~(low | high)
-    # A period's mean acceleration is bounded, and the torque is held: a hair is left for what lies between.
-    room = np.where(np.arange(robot.n) == j, np.minimum(0.1, 0.25 * (most - least)), 0.0)
     inverse, bias = np.linalg.inv(robot.mass(q)), robot.bias(q, dq)
     rest = inverse @ bias
-    A = np.vstack((inverse[kept], -inverse[kept]))
-    b = np.concatenate(((most - room + rest)[kept], (-least - room - rest)[kept]))
-    return linprog(np.zeros(robot.n), A_ub=A, b_ub=b, bounds=torques).status == 0
+
+    def found(joints: list[int], torques: np.ndarray, room: np.ndarray) -> bool:
+        A = np.vstack((inverse[joints], -inverse[joints]))
+        b = np.concatenate(((most - room + rest)[joints], (-least - room - rest)[joints]))
+        return linprog(np.zeros(robot.n), A_ub=A, b_ub=b, bounds=torques).status == 0
+
+    torques, hopeless, none = np.column_stack((-limits.torque, limits.torque)), set(), np.zeros(robot.n)
+    reach = np.abs(inverse) @ limits.torque
+    for j in range(robot.n):
+        if least[j] > reach[j] - rest[j] or most[j] < -reach[j] - rest[j]:
+            hopeless.add(j)
+            torques[j] = limits.torque[j] * (1.0 if least[j] > reach[j] - rest[j] else -1.0)
+    if joint in hopeless:
+        return "hopeless"
+    kept: list[int] = []
+    for j in order:
+        if j == joint:
+            break
+        if j not in hopeless and found([*kept, j], torques, none):
+            kept.append(j)
+    # A period's mean acceleration is bounded, and the torque is held: a hair is left for what lies between.
+    room = np.where(np.arange(robot.n) == joint, np.minimum(0.1, 0.25 * (most - least)), 0.0)
+    return WRONG if found([*kept, joint], torques, room) else "excluded"
 
 
-def passed(result: Result, limits: JointLimits, robot: Robot) -> list[tuple[int, bool]]:
-    """Joints that pass their limits, each time they do, and whether they could have kept them."""
+def passed(result: Result, limits: JointLimits, robot: Robot, order: Sequence[int]) -> list[tuple[int, str, int]]:
+    """Joints that pass their limits, each time they do, with the first verdict that excuses it, and the row."""
     found = []
     # A sample is taken at the end of a period, with the torque held until then.
     q, dq = result.q[:-1], result.dq[:-1]
@@ -182,24 +199,29 @@ def passed(result: Result, limits: JointLimits, robot: Robot) -> list[tuple[int,
             first = k
             while first > 0 and (left[first - 1, j] or fast[first - 1, j]):
                 first -= 1
-            rows = range(first, k + 1)
-            found.append((j, all(could_be_kept(robot, limits, q[i], dq[i], ddq[i], j) for i in rows)))
+            told = (verdict(robot, limits, order, q[i], dq[i], j) for i in range(first, k + 1))
+            found.append((j, next((one for one in told if one != WRONG), WRONG), int(k)))
     return found
 
 
 def weak_one(seed: int) -> dict[str, float | str]:
     """What the run with a payload and weak joints did about its limits."""
     try:
-        run, limits, robot = weak_run(seed)
+        run, controller = weak_run(seed)
     except EosError as error:
-        return {"status": f"refused: {type(error).__name__}", "torque": 0.0, "passed": 0, "wrong": 0, "speed": 0.0}
-    found = passed(run, limits, robot)
+        return dict.fromkeys(("torque", "passed", "hopeless", "excluded", "wrong"), 0.0) | {
+            "status": f"refused: {type(error).__name__}"
+        }
+    limits = controller.limits
+    found = passed(run, limits, controller.robot, controller.keeping_order)
+    verdicts = {j: {one for i, one, _ in found if i == j} for j, _, _ in found}
     return {
         "status": run.status,
         "torque": float((np.abs(run.tau) / limits.torque).max()) if np.isfinite(run.tau).all() else np.inf,
-        "passed": len({j for j, _ in found}),
-        "wrong": len({j for j, kept in found if kept}),
-        "speed": float((np.abs(run.dq) / limits.velocity).max()),
+        "passed": len(verdicts),
+        "hopeless": sum("hopeless" in told for told in verdicts.values()),
+        "excluded": sum("excluded" in told for told in verdicts.values()),
+        "wrong": sum(WRONG in told for told in verdicts.values()),
     }
 
 
@@ -242,6 +264,8 @@ def main(*, count: int = 1000, repeated: int = 10, json: Path | None = None, job
         "with payloads and weak joints: runs": count,
         "torques not finite or beyond a limit then": sum(float(row["torque"]) > 1.0 + 1e-12 for row in weak),
         "joints that passed their limits": sum(int(row["passed"]) for row in weak),
+        "of these, hopeless": sum(int(row["hopeless"]) for row in weak),
+        "of these, excluded by joints before them": sum(int(row["excluded"]) for row in weak),
         "of these, that could keep them": sum(int(row["wrong"]) for row in weak),
         "runs with any of these": sum(bool(row["wrong"]) for row in weak),
     }

@@ -1,20 +1,23 @@
 """`SmallestChange`: the quadratic program behind `LimitedEosController`, and who pays where not all limits can be kept.
 
 Torques are bounded. As long as some torques keep all joints within their bounds of acceleration, the program finds
-them. Where none do, a joint is lost whose own torque cannot keep it; it is braked with all the torque it has, and the
-others are kept as if it were a load that falls: they have to give way to it in nothing.
+them. Where none do, joints are lost by a fixed rule. A joint that no torques at all keep within its bounds is hopeless:
+it brakes with all the torque it has. Of the others, one after the other in a fixed order is kept if torques keep it and
+all that are kept before it. So a joint is lost only if it is hopeless, or joints before it exclude it. A lost joint
+asks nothing of the others, but their help ends gently, so that the torque is continuous.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import daqp
 import numpy as np
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, Jacobian, JointVector
+from eos_pin._arrays import Array, Jacobian, JointVector, Vector
 
 #: Price of a change that the task feels against one of the joints, for its size and for its square. The first keeps the
 #: task exactly, up to where that would take excessive self-motion; the second shares what must be given up among the
@@ -22,21 +25,18 @@ from eos_pin._arrays import Array, Jacobian, JointVector
 TASK_PRICE, TASK_WEIGHT = 1e3, 1e4
 #: The same for position and velocity limits; so high that they give way to nothing but torque limits.
 LIMIT_PRICE, LIMIT_WEIGHT = 1e8, 1e5
-#: Where not all limits can be kept: price of the limits of a joint that is kept and of one that is lost by a hair; the
-#: powers of ten by which it falls for each torque limit that the joint lacks, so that the help of other joints ends
-#: gently; and by how much at the most.
-KEPT_PRICE, LOST_PRICE, FALL, CHEAPEST = 1e10, 1e7, 0.25, 1e-5
-#: Rounds in which the lost are told from the kept; the largest ratio of their prices then; and the part of its torque
-#: limit that a joint lacks by which it is clearly lost.
-ROUNDS, SPREAD, SHARP = 2, 1e-7, 1e-4
-#: Torque that a joint has left counts so many times: one that could do more is not lost.
-SPARES = 100.0
-#: Price of braking torque that a lost joint does not use, for unit inertia.
-BRAKING_PRICE = 1e8
+#: Price of the limits of a joint while it is asked whether it can be kept, and of braking torque that a lost joint does
+#: not use, for unit inertia.
+ASKING_PRICE, BRAKING_PRICE = 1e6, 1e5
+#: Others help a lost joint until it lacks one part in so many of what they could do for it, so that help ends gently;
+#: and parts of its torque limit that it lacks by which it brakes with all it has.
+FADE, SHARP = 10.0, 1e-1
+#: Room for rounding in a bound that is settled [rad/s² or m/s²], and how exactly daqp keeps it.
+HAIR, EXACT = 1e-8, 1e-12
 #: How daqp is told that a limit may be passed at a price, and how close to zero is zero for the task [m/s² or rad/s²].
-SOFT, ZERO = 8, 1e-9
-#: Torques beyond this count as no limit [N m or N]; and ratio beyond which joints count as equally heavy.
-FAR, MOST_RATIO = 1e12, 100.0
+HARD, SOFT, ZERO = 0, 8, 1e-9
+#: Torques and accelerations beyond this count as no limit.
+FAR = 1e12
 
 
 class SmallestChange:
@@ -51,23 +51,31 @@ class SmallestChange:
     Args:
         m: Number of task directions.
         n: Number of joints.
+        order: Joints in the order in which they are kept; by default from the base outwards.
     """
 
-    def __init__(self, m: int, n: int) -> None:
-        self._made_from = m, n
+    def __init__(self, m: int, n: int, order: Sequence[int] | None = None) -> None:
+        self._made_from = m, n, order
+        self._order = range(n) if order is None else order
         sizes = n, n, m
         # t and w are the slacks that daqp itself gives to soft limits, so only Δ is unknown.
-        self._kinds = np.repeat(np.array((SOFT, 0, SOFT), dtype=np.intc), sizes)
+        self._kinds = np.repeat(np.array((SOFT, HARD, SOFT), dtype=np.intc), sizes)
+        self._settled = np.repeat(np.array((HARD, HARD, SOFT), dtype=np.intc), sizes)
         self._rows, self._upper = np.ones((n + m, n)), np.full(2 * n + m, ZERO)
         self._lower = -self._upper
-        self._prices = np.repeat((LIMIT_PRICE, 0.0, TASK_PRICE), sizes)
-        self._per_weight = np.repeat((1.0 / LIMIT_WEIGHT, 0.0, 1.0 / TASK_WEIGHT), sizes)
-        self._model, self._other = (self._made(n) for _ in range(2))
+        prices = np.repeat((LIMIT_PRICE, 0.0, TASK_PRICE), sizes)
+        per_weight = np.repeat((1.0 / LIMIT_WEIGHT, 0.0, 1.0 / TASK_WEIGHT), sizes)
+        self._model, self._last = (self._made(2 * n + m, prices, per_weight) for _ in range(2))
+        self._stage = self._made(2 * n, np.full(2 * n, ASKING_PRICE), np.full(2 * n, 1.0 / LIMIT_WEIGHT))
+        for model in (self._last, self._stage):
+            model.settings = model.settings | {"primal_tol": EXACT}
 
-    def _made(self, n: int) -> daqp.Model:
-        model = daqp.Model()
-        model.setup(np.eye(n), np.zeros(n), self._rows, self._upper, self._lower, self._kinds)
-        model.soft_weights(self._per_weight, self._per_weight, self._prices, self._prices)
+    def _made(self, rows: int, prices: Vector, per_weight: Vector) -> daqp.Model:
+        model, n = daqp.Model(), self._rows.shape[1]
+        model.setup(
+            np.eye(n), np.zeros(n), self._rows[: rows - n], self._upper[:rows], self._lower[:rows], self._kinds[:rows]
+        )
+        model.soft_weights(per_weight, per_weight, prices, prices)
         return model
 
     def __call__(
@@ -99,52 +107,58 @@ class SmallestChange:
     ) -> JointVector:
         """Smallest change where no torques keep all joints within their bounds.
 
-        With one price for all, strong joints would leave their bounds to ease weak ones. So the price of a joint's
-        bounds falls with the torque that it lacks to come back to them by itself: first steeply, for the most wanting
-        joint most, which leaves as few joints lost as can be; in the end gently. A lost joint is made to use all its
-        torque, which no other joint pays for, because only its own torque limit holds it back. Each round is a
-        continuous function of the one before.
-
         Args:
             M: Mass matrix.
             lower: As above.
             upper: As above.
-            change: Smallest change with one price for all.
+            change: Change within the torque limits.
         """
-        n = len(M)
-        inertia, torque = np.diag(M), np.minimum(0.5 * (upper[n:] - lower[n:]), FAR)
-        root = np.sqrt(inertia)
-        # Joint k moves |M_jk / M_jj| ≤ √(M_kk / M_jj) times as much as it eases joint j.
-        own = np.minimum(root / root.min(), MOST_RATIO)
-        for k in range(ROUNDS + 2):
-            # Towards the upper side, and towards the lower one: torque that brings the joint back, and what it has.
-            effort, lacking = M.dot(change), np.array((lower[:n] - change, change - upper[:n]))
-            spare = np.minimum((upper[n:] - effort, effort - lower[n:]), FAR)
-            short = inertia * np.maximum(lacking, 0.0)
-            lack = np.maximum(short - SPARES * spare, 0.0) / torque
-            lost = np.minimum(lack / SHARP, 1.0)
-            if k < ROUNDS:
-                price = KEPT_PRICE * SPREAD ** (lack / (lack.max() + SHARP))
-            else:
-                price = KEPT_PRICE * (LOST_PRICE / KEPT_PRICE) ** lost
-            if k > ROUNDS:
-                price *= np.maximum(10.0 ** (-FALL * lack), CHEAPEST)
-            push = BRAKING_PRICE / inertia * np.minimum(lack / (100.0 * SHARP), 1.0)
-            found = self._priced(own * price, M.dot(push[1] - push[0]))
-            if found is None:
-                break
-            change = found
-        return change
+        n, inertia, W = len(M), M.diagonal(), np.linalg.inv(M)
+        least, most = np.maximum(lower[:n], -FAR), np.minimum(upper[:n], FAR)
+        low, high = np.maximum(lower[n:], -FAR), np.minimum(upper[n:], FAR)
+        per_torque = 2.0 / (SHARP * (high - low))
+        # Hopeless is a joint that all torques together cannot keep.
+        down, up = np.minimum(W * low, W * high).sum(axis=1), np.maximum(W * low, W * high).sum(axis=1)
+        sign = np.where(least > up, 1.0, np.where(most < down, -1.0, 0.0))
+        hopeless = np.minimum(inertia * per_torque * np.maximum(np.maximum(least - up, down - most), 0.0), 1.0)
+        span = hopeless * (high - low)
+        low, high = np.where(sign > 0.0, low + span, low), np.where(sign < 0.0, high - span, high)
+        rows, kinds = self._rows[:n], np.zeros(2 * n, dtype=np.intc)
+        below, above = np.concatenate((np.full(n, -FAR), low)), np.concatenate((np.full(n, FAR), high))
+        push, known = np.zeros(n), not span.any()
+        for j in self._order:
+            below[j], above[j] = least[j], most[j]
+            if known and least[j] <= change[j] <= most[j]:
+                continue
+            kinds[j] = SOFT
+            self._stage.update(A=rows, bupper=above, blower=below, sense=kinds)
+            found, _, flag, info = self._stage.solve()
+            kinds[j] = HARD
+            if flag > 0:
+                change, known = self._corner(found, info["lam"], j, below, above), True
+            # What it lacks, and which way.
+            lack = max(least[j] - change[j], change[j] - most[j], 0.0)
+            if lack > 0.0:
+                side = 1.0 if change[j] < least[j] else -1.0
+                push[j] = side * BRAKING_PRICE / inertia[j] * min(lack * inertia[j] * per_torque[j], 1.0)
+                below[j] -= (1.0 + FADE) * lack
+                above[j] += (1.0 + FADE) * lack
+            below[j] -= HAIR
+            above[j] += HAIR
+        self._lower[: 2 * n], self._upper[: 2 * n] = below, above
+        self._last.update(f=-M.dot(push), A=self._rows, bupper=self._upper, blower=self._lower, sense=self._settled)
+        found, _, flag, _ = self._last.solve()
+        return found if flag > 0 and math.isfinite(found.dot(found)) else change
 
-    def _priced(self, price: Float[Array, "2 n"], pull: JointVector) -> JointVector | None:
-        """Smallest change at prices of lower and upper bounds, with a linear cost; None if none is found."""
-        n, model = len(pull), self._other
-        prices, per_weight = self._prices[None].repeat(2, 0), self._per_weight[None].repeat(2, 0)
-        prices[:, :n], per_weight[:, :n] = price, LIMIT_PRICE / (LIMIT_WEIGHT * price)
-        model.soft_weights(*per_weight, *prices)
-        model.update(f=pull, A=self._rows, bupper=self._upper, blower=self._lower, sense=self._kinds)
-        found, _, flag, _ = model.solve()
-        return found if flag > 0 and math.isfinite(found.dot(found)) else None
+    def _corner(self, found: JointVector, lam: Vector, j: int, below: Vector, above: Vector) -> JointVector:
+        """The same change with less rounding, where limits alone determine it."""
+        n = found.size
+        active = np.flatnonzero(lam)
+        active = active[active != j]
+        if active.size != n:
+            return found
+        rows = np.concatenate((np.eye(n), self._rows[:n]))[active]
+        return np.linalg.solve(rows, np.where(lam > 0.0, above, below)[active])
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The workspace is made anew where it is unpickled.

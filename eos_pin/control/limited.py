@@ -33,7 +33,7 @@ from eos_pin.charts.atlas import Atlas
 from eos_pin.control._smallest_change import SmallestChange
 from eos_pin.control.eos import EosController
 from eos_pin.control.objectives import Objective
-from eos_pin.control.overload import gravity_overload
+from eos_pin.control.overload import gravity_overload, keeping_order
 from eos_pin.errors import InputError, Renamed, renamed
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
@@ -255,8 +255,11 @@ class LimitedEosController(EosController):
 
     Where no limit is active the torque is that of `EosController`, to the last digit.
 
-    A joint too weak for what it carries is lost: it brakes with all the torque it has, and joints that can keep their
-    limits nevertheless do. `overload` tells beforehand where gravity takes more torque than there is.
+    Where no torques keep all limits, joints are lost by a fixed rule. Hopeless joints, which no torques at all keep
+    within the bounds of `JointLimits.accelerations`, brake with all the torque they have. The others are kept one after
+    the other in the order `keeping_order`, where that is possible together with those before: so a joint too weak for
+    what it carries takes no stronger one along. `overload` tells beforehand where gravity takes more torque than there
+    is.
 
     A target may lead out of reach and come back; the task is then taken up again. But the law is local: an arm that
     went through a singularity meanwhile, or began near one, may have come to where joint limits bar every way that
@@ -298,7 +301,6 @@ class LimitedEosController(EosController):
         )
         self.limits = limits or JointLimits.from_robot(task.robot)
         self.control_period: float = control_period
-        self._smallest = SmallestChange(task.m, task.robot.n)
 
     def __setattr__(self, name: str, value: Any) -> None:
         super().__setattr__(name, number(value, "the control period", above=0.0) if name == "control_period" else value)
@@ -316,6 +318,11 @@ class LimitedEosController(EosController):
         """
         return gravity_overload(self.robot, q, self.limits.torque)
 
+    @property
+    def keeping_order(self) -> tuple[int, ...]:
+        """Joints in the order in which their limits are kept where not all can be, see `keeping_order`."""
+        return keeping_order(self.robot, self.limits.torque)
+
     def broken_limits(
         self, t: Vector, q: Float[Array, "T n"], dq: Float[Array, "T n"], tau: Float[Array, "T n"]
     ) -> str:
@@ -331,7 +338,8 @@ class LimitedEosController(EosController):
     ) -> Callable[[JointVector, JointVector, JointVector, Jacobian], tuple[JointVector, JointVector]]:
         """Torque within all limits, and the change that they make in the joint acceleration."""
         kept = self._viability
+        smallest = SmallestChange(self.task.m, self.robot.n, self.keeping_order)
         return Limits(
             self.control_period, kept.rate, kept.ends, kept.fastest, kept.braking, kept.acceleration,
-            self.limits.torque, CLEAR, self._model, self._smallest,
+            self.limits.torque, CLEAR, self._model, smallest,
         )  # fmt: skip

@@ -9,6 +9,26 @@ from eos_pin.errors import RobotError
 from eos_pin.robot.model import Robot
 
 
+def most_gravity(robot: Robot) -> JointVector:
+    """Largest gravity torques in postures drawn at random from within the position limits, (n,) [N m or N]."""
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    random = np.random.default_rng(0)
+    return np.abs([robot._gravity(lower + (upper - lower) * random.random(robot.n)) for _ in range(200)]).max(axis=0)
+
+
+def keeping_order(robot: Robot, torque: JointVector) -> tuple[int, ...]:
+    """Joints in the order in which limits are kept where not all can be: most torque for gravity first.
+
+    Joints with more than ten times what gravity takes are alike, and alike joints come from the base outwards.
+
+    Args:
+        robot: The robot.
+        torque: Torque limits, (n,) [N m or N].
+    """
+    ratio = np.minimum(torque / np.maximum(most_gravity(robot), 1e-9), 10.0)
+    return tuple(int(j) for j in np.argsort(-ratio, kind="stable"))
+
+
 def gravity_overload(robot: Robot, q: JointVector | None = None, torque: JointVector | None = None) -> tuple[str, ...]:
     """Joints that cannot hold themselves against gravity, one sentence each; none if all can.
 
@@ -24,8 +44,7 @@ def gravity_overload(robot: Robot, q: JointVector | None = None, torque: JointVe
     except RobotError:
         # Without inertia gravity is not known.
         return ()
-    random = np.random.default_rng(0)
-    tried = np.abs([robot._gravity(lower + (upper - lower) * random.random(robot.n)) for _ in range(200)]).max(axis=0)
+    tried = most_gravity(robot)
     now = np.zeros(robot.n) if q is None else np.abs(robot._gravity(q))
     notes = []
     for joint, start, anywhere, limit in zip(robot.joints, now, tried, most, strict=True):

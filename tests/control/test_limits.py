@@ -289,6 +289,49 @@ def test_bounds_are_passed_only_where_no_torques_keep_them(seed):
     assert found.status == 2
 
 
+@given(st.integers(0, 2**32 - 1))
+def test_joints_are_lost_only_if_hopeless_or_excluded_by_joints_before_them(seed):
+    """Linear programs of their own decide who is kept, in the order that is given."""
+    random = np.random.default_rng(seed)
+    n = 4
+    root = random.normal(size=(n, n))
+    J, M = random.normal(size=(2, n)), root @ root.T + 0.2 * np.eye(n)
+    torque = np.diag(M) * random.exponential(10.0, n)
+    now, middle = random.uniform(-1.0, 1.0, n) * torque, random.normal(size=n) * random.choice([5.0, 20.0])
+    lower = np.concatenate((middle - random.exponential(10.0, n), -torque - now))
+    upper = np.concatenate((middle + random.exponential(10.0, n), torque - now))
+    order, W = [int(j) for j in random.permutation(n)], np.linalg.inv(M)
+    change = SmallestChange(2, n, order)(J, M, lower, upper)
+    effort = M @ change
+    assert (effort <= upper[n:] + 1e-6 * (1.0 + torque)).all()
+    assert (effort >= lower[n:] - 1e-6 * (1.0 + torque)).all()
+    box = np.column_stack((lower[n:], upper[n:]))
+
+    def possible(joints: list[int], room: float = 1e-3) -> bool:
+        A = np.vstack((W[joints], -W[joints]))
+        b = np.concatenate((upper[joints], -lower[joints])) - room
+        return linprog(np.zeros(n), A_ub=A, b_ub=b, bounds=box).status == 0
+
+    kept: list[int] = []
+    hopeless = [j for j in range(n) if not possible([j], 0.0)]
+    reach = W * box[:, 0], W * box[:, 1]
+    most, least = np.maximum(*reach).sum(axis=1), np.minimum(*reach).sum(axis=1)
+    for j in hopeless:
+        side = 1 if most[j] < lower[j] else 0
+        if max(lower[j] - most[j], least[j] - upper[j]) * M[j, j] > 0.2 * torque[j]:
+            # Braking with all it has; those that are hopeless by a hair are on the way there.
+            np.testing.assert_allclose(effort[j], box[j, side], atol=1e-6 * (1.0 + torque[j]))
+        box[j] = box[j, side]
+    for j in order:
+        if j in hopeless or not possible([*kept, j]):
+            if j not in hopeless and possible([*kept, j], -1.0):
+                # Lost by a hair: others still help it.
+                return
+            continue
+        kept.append(j)
+        assert lower[j] - 1e-3 <= change[j] <= upper[j] + 1e-3
+
+
 def lift_arm(shoulder: float) -> Robot:
     """Strong lift that carries an arm whose shoulder has so much torque, but needs 31 N m."""
     joints = (("lift", "prismatic", "0 0 1", 0.4, 8000.0, 0.06), ("shoulder", "revolute", "0 1 0", 1.4, shoulder, 2.0))
