@@ -30,7 +30,7 @@ LIMIT_PRICE, LIMIT_WEIGHT = 1e8, 1e5
 ASKING_PRICE, BRAKING_PRICE = 1e6, 1e5
 #: Others help a lost joint until it lacks one part in so many of what they could do for it, so that help ends gently;
 #: and parts of its torque limit that it lacks by which it brakes with all it has.
-FADE, SHARP = 10.0, 1e-1
+FADE, SHARP = 3.0, 1.0
 #: Room for rounding in a bound that is settled [rad/s² or m/s²], and how exactly daqp keeps it.
 HAIR, EXACT = 1e-8, 1e-12
 #: How daqp is told that a limit may be passed at a price, and how close to zero is zero for the task [m/s² or rad/s²].

@@ -318,16 +318,14 @@ def test_joints_are_lost_only_if_hopeless_or_excluded_by_joints_before_them(seed
     most, least = np.maximum(*reach).sum(axis=1), np.minimum(*reach).sum(axis=1)
     for j in hopeless:
         side = 1 if most[j] < lower[j] else 0
-        if max(lower[j] - most[j], least[j] - upper[j]) * M[j, j] > 0.2 * torque[j]:
+        if max(lower[j] - most[j], least[j] - upper[j]) * M[j, j] > 1.1 * torque[j]:
             # Braking with all it has; those that are hopeless by a hair are on the way there.
             np.testing.assert_allclose(effort[j], box[j, side], atol=1e-6 * (1.0 + torque[j]))
         box[j] = box[j, side]
     for j in order:
         if j in hopeless or not possible([*kept, j]):
-            if j not in hopeless and possible([*kept, j], -1.0):
-                # Lost by a hair: others still help it.
-                return
-            continue
+            # The help that a lost joint still gets, lest the torque jump, may exclude joints after it.
+            return
         kept.append(j)
         assert lower[j] - 1e-3 <= change[j] <= upper[j] + 1e-3
 
