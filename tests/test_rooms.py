@@ -22,7 +22,7 @@ TABLE = """
     tasks           pinocchio
     trajectories    pinocchio scipy
     charts          scipy
-    planning        coal pinocchio scipy trimesh yaml
+    planning        coal pinocchio scipy toppra trimesh yaml
     control         daqp scipy
     simulation      mujoco pinocchio scipy
     experiments     joblib pinocchio pyarrow

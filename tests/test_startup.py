@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parent.parent / "eos_pin"
 
 #: What takes time to import, from the lightest.
 HEAVY = ("numpy", "lxml", "pinocchio", "scipy.linalg", "scipy.integrate", "joblib", "tyro", "rich", "matplotlib")
-HEAVY += ("tornado", "meshcat", "trimesh", "yourdfpy", "mujoco", "pyarrow", "distributed")
+HEAVY += ("tornado", "meshcat", "trimesh", "yourdfpy", "mujoco", "pyarrow", "toppra", "distributed")
 
 
 def loaded(code):

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -153,11 +153,48 @@ class Obstructed:
         return Bodies.of(robot, made, pairs)
 
 
+@dataclass(frozen=True)
+class PlanTiming:
+    """The time of the motion.
+
+    Attributes:
+        timing: The path's own pace, or the fastest within the limits of velocity, acceleration and torque.
+        acceleration: Largest accelerations of the joints, one number or n [rad/s² or m/s²].
+        torque_limits: Keep the robot's torque limits.
+    """
+
+    timing: Literal["own", "fastest"] = "own"
+    acceleration: tuple[float, ...] = ()
+    torque_limits: bool = False
+
+    @property
+    def accelerations(self) -> float | list[float] | None:
+        """Accelerations as `plan` takes them."""
+        return (
+            None
+            if not self.acceleration
+            else self.acceleration[0]
+            if len(self.acceleration) == 1
+            else [*self.acceleration]
+        )
+
+    def apply(self, found: Plan) -> Plan:
+        """The plan in the time that was asked for."""
+        if self.timing == "own":
+            return found
+        from eos_pin.planning.limit_use import MotionLimits
+        from eos_pin.planning.timing import fastest, measured
+
+        limits = MotionLimits.of(found.robot, acceleration=self.accelerations, torque=self.torque_limits)
+        return measured(fastest(found, limits), limits)
+
+
 def plan(
     robot: RobotOptions,
     task: TaskOptions = TaskOptions(),
     path: PlanPath = PlanPath(),
     within: Obstructed = Obstructed(),
+    time: PlanTiming = PlanTiming(),
     output: Output = Output(),
     save: Annotated[Path | None, tyro.conf.arg(name="plan")] = None,
 ) -> int:
@@ -171,6 +208,7 @@ def plan(
         task: What the robot must do.
         path: Where the task should go.
         within: Obstacles and files to keep.
+        time: The time of the motion.
         output: What to keep.
         save: File for the plan (.npz), which `eos-pin track --plan` follows.
 
@@ -178,6 +216,7 @@ def plan(
 
       eos-pin plan panda --path circle --size 0.45 --centre 0 0 0.5 --closed --plan circle.npz
       eos-pin plan panda --path path.csv --task pose --scene boxes.yaml --self-collision --csv joints.csv
+      eos-pin plan panda --path circle --size 0.3 --timing fastest --acceleration 10 --torque-limits --plan fast.npz
       eos-pin track panda --plan circle.npz
     """
     from eos_pin.planning.obstacles.scene import read_scene
@@ -193,6 +232,8 @@ def plan(
     scene = read_scene(within.scene) if within.scene is not None else None
     bodies = within.bodies(machine)
     wanted = save or (files.out / "plan.npz" if files.out else None)
+    timed = None if path.path.lower().endswith((".csv", ".tsv", ".txt")) else path.period is not None
+    own = time.timing == "own"
     with _progress(f"{machine.name}, {task.task}") as report:
         try:
             found = planned(
@@ -208,11 +249,14 @@ def plan(
                 cost=within.costs(),
                 start=within.start or None,
                 reconfigurations=within.reconfigurations,
-                keep_time=None if path.path.lower().endswith((".csv", ".tsv", ".txt")) else path.period is not None,
+                keep_time=timed if own else False,
+                acceleration=time.accelerations if own else None,
+                torque=own and time.torque_limits,
                 seed=output.seed,
                 effort=within.effort,
                 progress=report,
             )
+            found = time.apply(found)
         except PlanError as error:
             report("", 1.0)
             return _refused(error, files, path.closed)
@@ -303,6 +347,10 @@ def _table(found: Plan) -> Any:
     table.add_row("least distance from a limit", f"{format_number(info['limit_distance_min'])} rad or m")
     if info["clearance_min"] is not None:
         table.add_row("least clearance", f"{format_number(info['clearance_min'])} m")
+    for what in ("velocity", "acceleration", "torque"):
+        part = info.get(f"{what}_part_max")
+        if part is not None:
+            table.add_row(f"largest part of a limit of {what}", f"{part:.4g}")
     table.add_row("chart switches at margin 0.5", str(info["switches"]))
     table.add_row("planning time", f"{info['seconds']:.2f} s")
     return table

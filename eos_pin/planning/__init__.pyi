@@ -1,3 +1,6 @@
+from .limit_use import LimitUse as LimitUse
+from .limit_use import MotionLimits as MotionLimits
+from .limit_use import limit_use as limit_use
 from .manifolds.manifold import SelfMotionManifold as SelfMotionManifold
 from .manifolds.manifold import self_motion_manifold as self_motion_manifold
 from .obstacles.avoidance import Avoidance as Avoidance
@@ -13,3 +16,4 @@ from .obstacles.scene import read_scene as read_scene
 from .obstacles.scene import sphere as sphere
 from .planner import plan as plan
 from .plans import Plan as Plan
+from .timing import fastest as fastest

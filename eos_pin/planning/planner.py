@@ -22,6 +22,7 @@ from eos_pin.planning.problem import Problem, given, problem_of, told
 from eos_pin.planning.refine import Course, refine, without_bounds
 from eos_pin.planning.report import figures
 from eos_pin.planning.search import Failure, Layers
+from eos_pin.planning.timing import in_time
 from eos_pin.planning.whole import WholeLayers
 from eos_pin.tasks.base import PointLike, Task
 from eos_pin.tasks.batch import Manifold
@@ -81,6 +82,8 @@ def plan(
     end: VectorLike | None = None,
     reconfigurations: bool = False,
     keep_time: bool | None = None,
+    acceleration: float | VectorLike | None = None,
+    torque: float | VectorLike | bool = False,
     seed: int = 0,
     effort: int = 3,
     progress: Progress = lambda what, part: None,
@@ -113,6 +116,8 @@ def plan(
         end: Joints to end at, of an open path, (n,); by default any.
         reconfigurations: Whether the joints may jump where no continuous motion exists, as few times as possible.
         keep_time: Whether the velocity limits hold at the pace of the path; by default if it has times of its own.
+        acceleration: Largest accelerations [rad/s² or m/s²]; a given pace is refused where they are exceeded.
+        torque: Largest torques [N m or N], kept likewise, or whether those of the robot are kept.
         seed: Seed of everything random; the same seed, the same plan.
         effort: How many times the search is refined before it gives up.
         progress: Called with what is done and which part of it.
@@ -122,12 +127,10 @@ def plan(
         PlanError: No motion was found; says where it ended, what is in the way there, and what would help.
     """
     began = time.perf_counter()
-    robot = task.robot
-    manifold = Manifold(task)
     grid = grid_of(task, path, closed=closed, times=times)
-    problem = problem_of(manifold, scene, bodies, self_collision, clearance, margin, limits, cost, weights, start)
+    problem = problem_of(Manifold(task), scene, bodies, self_collision, clearance, margin, limits, cost, weights, start)
     timed = grid.timed if keep_time is None else keep_time
-    step = grid.bounds(robot, joint_step, timed)
+    step = grid.bounds(task.robot, joint_step, timed)
     if grid.closed and end is not None:
         raise InputError("a closed path ends where it begins; give its start, not its end")
     ends = given(start, task, grid.Z[0], "start"), given(end, task, grid.Z[-1], "end")
@@ -145,16 +148,14 @@ def plan(
         refused.info = {"waypoints": grid.count, "closed": grid.closed, "seconds": time.perf_counter() - began}
         raise refused
     for _ in range(FINER + 1):
-        knots, joints = grid.knots(q)
-        made = Plan(task, grid.path, knots, joints, grid.closed, status, {})
-        if not timed:
-            made = grid.slowed(made)
+        made = Plan(task, grid.path, *grid.knots(q), grid.closed, status, {})
+        made = made if timed else grid.slowed(made)
         try:
             info = figures(made, grid, problem, time.perf_counter() - began, jumps=search.jumps(q), seed=seed)
         except PlanError as error:
             unclear = error
         else:
-            return replace(made, info=info, jumps=tuple(search.jumps(q)))
+            return in_time(replace(made, info=info, jumps=tuple(search.jumps(q))), timed, acceleration, torque)
         finer = search.finer(q)
         if finer is None:
             break

@@ -25,6 +25,7 @@ from eos_pin.tasks.stacked import task_from_description
 from eos_pin.trajectories.base import JointTarget, Target, Trajectory
 from eos_pin.trajectories.storage import described, path_from
 from eos_pin.trajectories.through import WaypointPath, sampled
+from eos_pin.trajectories.timed import Pace, TimedPath
 
 #: Largest task error of the joints [m, rad], and the most Newton steps.
 EXACT, MOST_STEPS = 1e-12, 12
@@ -108,16 +109,32 @@ class Plan:
                 "without reconfigurations"
             )
 
+    @property
+    def pace(self) -> Pace | None:
+        """Place on the path it was planned on over time; None in the time it was planned in."""
+        return self.path.pace if isinstance(self.path, TimedPath) else None
+
+    @property
+    def untimed(self) -> Trajectory:
+        """The path in the time it was planned in."""
+        return self.path.path if isinstance(self.path, TimedPath) else self.path
+
     # -- joints at any time --------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _knots(self) -> Array:
+        """Times of the knots in the time it was planned in."""
+        return np.array(self.times if self.pace is None else self.pace.place(self.times))
 
     @cached_property
     def _curve(self) -> tuple[Array, Array]:
         """Knots, and coefficients of the splines of joints and transposed Jacobians, (K − 1, 4, n + n m)."""
-        J = Manifold(self.task).jacobians(self.q.T, sampled(self.path, self.times).T).transpose(2, 1, 0)
+        knots = self._knots
+        J = Manifold(self.task).jacobians(self.q.T, sampled(self.untimed, knots).T).transpose(2, 1, 0)
         values = np.hstack((self.q, J.reshape(len(self.q), -1)))
         if self.closed:
             values[-1] = values[0]
-        return spline(self.times, values, self.closed, self.jumps)
+        return spline(knots, values, self.closed, self.jumps)
 
     def _at(self, t: float) -> tuple[Array, Array, Array, Array, Array, Array]:
         """S, C, and their first and second derivatives."""
@@ -142,19 +159,25 @@ class Plan:
             PlanError: The joints are not on the path between two knots; the plan was made with too few.
         """
         inner = self._wrapped(t)
-        S, C, dS, dC, ddS, ddC = self._at(inner)
-        # Just inside the end, where a path that rests afterwards still moves.
-        z, dz, ddz = self.path(inner)
+        s, ds, dds = (inner, 1.0, 0.0) if self.pace is None else self.pace(inner)
+        q, dq, ddq = self._own(s, t)
+        ddq, dq = ds * ds * ddq + dds * dq, ds * dq
+        if not self.closed and not self.start <= t <= self.end:
+            return JointTarget(q, 0.0 * dq, 0.0 * ddq)
+        return JointTarget(q, dq, ddq)
+
+    def _own(self, s: float, t: float) -> tuple[Array, Array, Array]:
+        """Joints and their derivatives by the path's own time s; t is for messages."""
+        S, C, dS, dC, ddS, ddC = self._at(s)
+        # At the end, too, where a path that rests afterwards still moves.
+        z, dz, ddz = self.untimed(s)
         q, bend, lu, J = self._on_path(S, C, z, t)
         ahead = dS + dC @ bend
         rate = _solved(lu, dz - J @ ahead)
         dq = ahead + C @ rate
         drift = self.task._at(q, dq).drift
         ahead = dds_plus(ddS, ddC, dC, bend, rate)
-        ddq = ahead + C @ _solved(lu, ddz - drift - J @ ahead)
-        if not self.closed and not self.start <= t <= self.end:
-            return JointTarget(q, 0.0 * dq, 0.0 * ddq)
-        return JointTarget(q, dq, ddq)
+        return q, dq, ahead + C @ _solved(lu, ddz - drift - J @ ahead)
 
     def _on_path(self, S: Array, C: Array, z: Array, t: float) -> tuple[Array, Array, Any, Array]:
         q, bend, last = S, np.zeros(self.task.m), np.inf
@@ -178,7 +201,8 @@ class Plan:
     def joints(self, times: Float[Array, " T"]) -> Float[Array, "T n"]:
         """Joints at many times."""
         t = np.array([self._wrapped(float(t)) for t in times])
-        z = sampled(self.path, t).T
+        t = t if self.pace is None else self.pace.place(t)
+        z = sampled(self.untimed, t).T
         knots, coefficients = self._curve
         k = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 2)
         x = t - knots[k]
@@ -207,9 +231,11 @@ class Plan:
         Args:
             count: Number of way points; by default those of the path.
         """
-        if not isinstance(self.path, WaypointPath):
+        path = self.untimed
+        if not isinstance(path, WaypointPath):
             return self.q
-        rows = np.searchsorted(self.times, self.path.times - 1e-9 * self.end)
+        knots = self._knots
+        rows = np.searchsorted(knots, path.times - 1e-9 * knots[-1])
         return self.q[np.minimum(rows, len(self.q) - 1)][:count]
 
     def task_target(self, t: float) -> Target:

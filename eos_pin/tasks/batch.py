@@ -41,7 +41,8 @@ class Placements:
         turned = [np.eye(3)]
         self._steps: list[tuple[int, Array, Array, bool]] = []
         for i in range(1, model.njoints):
-            S = pin.computeJointJacobian(model, data, zero, i)[:, i - 1]
+            # Of a robot with one joint Pinocchio returns a vector.
+            S = np.reshape(pin.computeJointJacobian(model, data, zero, i), (6, self.n))[:, i - 1]
             prismatic = bool(np.abs(S[3:]).max() < 0.5)
             A = _to_axis(S[:3] if prismatic else S[3:])
             turned.append(A)

@@ -14,6 +14,10 @@ from eos_pin.trajectories.harmonic import Harmonic
 from eos_pin.trajectories.spline import Geodesic, RotationSpline, Spline
 from eos_pin.trajectories.stacked import StackedTrajectory
 from eos_pin.trajectories.through import WaypointPath
+from eos_pin.trajectories.timed import Pace, TimedPath
+
+#: What a pace consists of.
+NODES = ("times", "places", "speeds", "accelerations")
 
 
 def described(path: Trajectory) -> dict[str, Any]:
@@ -24,6 +28,9 @@ def described(path: Trajectory) -> dict[str, Any]:
     """
     if isinstance(path, WaypointPath):
         return {"kind": "waypoints"} | path.describe()
+    if isinstance(path, TimedPath):
+        nodes = {name: getattr(path.pace, name).tolist() for name in NODES}
+        return {"kind": "timed", "path": described(path.path)} | nodes
     if isinstance(path, Harmonic):
         values = {name: np.asarray(getattr(path, name)).tolist() for name in ("center", "sines", "cosines")}
         return {"kind": "harmonic", "period": path.period, "phase": path.phase} | values
@@ -57,6 +64,8 @@ def path_from(task: Task, description: Mapping[str, Any]) -> Trajectory:
     try:
         if kind == "waypoints":
             return WaypointPath(task, np.array(words["points"]), np.array(words["times"]), words["closed"])
+        if kind == "timed":
+            return TimedPath(path_from(task, words["path"]), Pace(*(np.array(words[name]) for name in NODES)))
         if kind == "harmonic":
             arrays = {name: np.array(words.pop(name)) for name in ("center", "sines", "cosines")}
             return Harmonic(period=words["period"], phase=words["phase"], **arrays)
