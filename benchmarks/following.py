@@ -1,8 +1,8 @@
 """Plans under torque control: `python benchmarks/following.py [repeat|joining|disturbed] …`; each has `--help`.
 
 * `repeat`: closed paths through a random posture within limits, by v that is held, posture control, and planned joints,
-  all from the same joints and velocities on the path: how many repeat within limits from the first round, and how many
-  stay within limits at all.
+  all from the same joints and velocities on the path, and by Pink with a posture task, where it is set up (kinematics
+  alone): how many repeat within limits from the first round, and how many stay within limits at all.
 * `joining`: from random postures at the first task point of a plan: joined and then repeating, or refused with a
   reason.
 * `disturbed`: pushes, pauses and changes of speed: how far from the plan the joints are in the end.
@@ -14,15 +14,20 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lxml import etree
+from peers import PEERS, WORKERS, installed
 from rich.console import Console
 from rich.table import Table
+from setting import FAR
 
 from eos_pin import (
     Atlas,
@@ -32,7 +37,6 @@ from eos_pin import (
     PoseTask,
     PositionTask,
     Posture,
-    Result,
     Robot,
     Task,
     TaskForce,
@@ -43,6 +47,7 @@ from eos_pin import (
 )
 from eos_pin.errors import EosError
 from eos_pin.planning.report import switches
+from eos_pin.robot.geometry import Shapes
 from eos_pin.tasks.batch import Manifold, ranges
 from eos_pin.trajectories.pace import Clock
 from eos_pin.trajectories.through import waypoint_path
@@ -53,6 +58,8 @@ SHAPES = ("circle", "eight", "polygon")
 #: A round repeats where no joint comes back further off than this [rad]; and way points of a path.
 REPEATS, POINTS = 1e-6, 96
 ROUNDS, THRESHOLD = 2, 0.5
+#: A path is followed to this [m, rad]; and steps of Pink in a round.
+FOLLOWS, STEPS = 1e-3, 2000
 
 
 def curve(shape: str, random: np.random.Generator) -> np.ndarray:
@@ -120,15 +127,47 @@ def reachable(manifold: Manifold, points: np.ndarray, q: np.ndarray, lower: np.n
     return True
 
 
-def judged(run: Result, robot: Robot) -> dict[str, Any]:
-    """Whether a run stayed within limits, and repeated from the first round on."""
-    inside = bool(run.ok and ((run.q >= robot.lower) & (run.q <= robot.upper)).all())
-    drift = run.joint_drift_per_cycle
-    repeats = bool(inside and len(drift) == ROUNDS and drift.max() <= REPEATS)
-    return {
-        "inside": inside, "repeats": repeats, "drift": [float(d) for d in drift], "switches": len(run.switches),
-        "status": run.status, "message": run.message,
-    }  # fmt: skip
+def judged(q: np.ndarray, drift: np.ndarray, error: float, robot: Robot) -> dict[str, Any]:
+    """Whether joints stay within limits, follow the path, and repeat from the first round on."""
+    inside = bool(((q >= robot.lower) & (q <= robot.upper)).all())
+    whole = len(drift) == ROUNDS and error < FOLLOWS
+    repeats = bool(inside and whole and drift.max() <= REPEATS)
+    return {"inside": inside, "repeats": repeats, "drift": [float(d) for d in drift], "task_error": error}
+
+
+def pink(found: Plan) -> dict[str, Any]:
+    """Joints of Pink with a posture task on the path of a plan, from its start."""
+    task, robot = found.task, found.robot
+    times = np.linspace(0.0, ROUNDS * found.period, ROUNDS * STEPS + 1)
+    points = [found.task_target(float(t)).z for t in times]
+    targets = np.repeat(np.eye(4)[None], len(times), axis=0)
+    for target, z in zip(targets, points, strict=True):
+        target[:3, 3] = z[:3]
+        if task.m == 6:
+            target[:3, :3] = z[3:].reshape(3, 3)
+    assert isinstance(robot.shapes, Shapes)
+    root = etree.fromstring(robot.shapes.urdf)
+    for limit in root.iter("limit"):
+        for key, value in limit.items():
+            if abs(float(value)) > FAR and key in ("lower", "upper"):
+                limit.set(key, str(np.copysign(FAR, float(value))))
+    with tempfile.NamedTemporaryFile(suffix=".urdf") as file:
+        file.write(etree.tostring(root))
+        file.flush()
+        start = found(found.start).q
+        given = {
+            "urdf": file.name, "frame": robot.options["chain_to"], "whole": task.m == 6, "q": start.tolist(),
+            "targets": targets.tolist(), "period": float(times[1]),
+        }  # fmt: skip
+        done = subprocess.run(
+            [str(PEERS["pink"].python), str(WORKERS / "path_pink.py")],
+            input=json.dumps(given), check=True, capture_output=True, text=True,
+        )  # fmt: skip
+    reply = json.loads(done.stdout)
+    q = np.array(reply["q"])
+    error = max(float(np.abs(task.minus(z, task.value(row))).max()) for z, row in zip(points, q, strict=False))
+    drift = np.abs(np.diff(q[::STEPS], axis=0)).max(axis=1)
+    return judged(q, drift, error, robot) | {"message": reply["message"]}
 
 
 def repeat(number: int, seed: int) -> dict[str, Any]:
@@ -144,7 +183,11 @@ def repeat(number: int, seed: int) -> dict[str, Any]:
     for name, law in laws.items():
         controller = EosController(task, reference, law, atlas=Atlas(task, threshold=THRESHOLD))
         run = simulate(robot, controller, start.q, dq=start.dq, duration=ROUNDS * found.period, rtol=1e-8, atol=1e-10)
-        row[name] = judged(run, robot)
+        error = float(np.abs(run.error).max())
+        row[name] = judged(run.q, run.joint_drift_per_cycle, error, robot) | {"message": run.message}
+        row[name]["switches"] = len(run.switches)
+    if not isinstance(installed(PEERS["pink"]), str):
+        row["pink"] = pink(found)
     return row
 
 
@@ -202,7 +245,7 @@ def told(command: str, rows: list[dict[str, Any]]) -> Table:
     if command == "repeat":
         for title in ("method", "repeats within limits", "stays within limits", "paths it was run on"):
             table.add_column(title)
-        for name in ("hold", "posture", "planned"):
+        for name in ("hold", "posture", "pink", "planned"):
             met = [row[name] for row in rows if name in row]
             counts = (sum(m["repeats"] for m in met), sum(m["inside"] for m in met), len(met))
             table.add_row(name, *map(str, counts))
