@@ -62,6 +62,7 @@ from .planning import SelfMotionManifold as SelfMotionManifold
 from .planning import plan as plan
 from .planning import self_motion_manifold as self_motion_manifold
 from .robot import Joint as Joint
+from .robot import JointMap as JointMap
 from .robot import Payload as Payload
 from .robot import Robot as Robot
 from .robot import Tool as Tool

@@ -238,7 +238,7 @@ class Checker:
     def _bound(self, joint: etree._Element, name: str, kind: str, key: str) -> float:
         """Limit of velocity or effort; 0 stands for none."""
         limit = joint.find("limit")
-        if limit is None or kind not in ONE_DEGREE:
+        if limit is None or kind not in (*ONE_DEGREE, "planar"):
             return 0.0
         value = self._number(limit, key, 0.0, infinite=True)
         if value < 0.0:

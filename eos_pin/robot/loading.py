@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import copy
 import os
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -23,26 +22,18 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin.errors import InputError, RobotError, UnknownNameError
+from eos_pin.robot._mjcf import NO_SHAPES, is_mjcf, locked_model, read_mjcf
+from eos_pin.robot._parts import default_frame_of, find_frame, leaves_of
+from eos_pin.robot._planar import without_planar
 from eos_pin.robot.geometry import Shapes, quiet, resolve_shapes
 from eos_pin.robot.library import available_robots, find_robot
-from eos_pin.robot.model import Robot, find_frame
+from eos_pin.robot.model import Robot
 from eos_pin.robot.notes import Notes, is_physical, oddities
 from eos_pin.robot.urdf import Urdf, read_urdf, read_urdf_text
 
 T = TypeVar("T")
-
-#: Words in the name of a frame that say it is where the robot works, the best first.
-WORKING_FRAMES = (
-    "tcp", "tool", "grasp", "grasping", "ee", "eef", "effector", "gripper", "tip", "flange", "palm", "hand"
-)  # fmt: skip
-#: Words in the name of a joint that say it belongs to a hand, not to the arm that carries it.
-HAND_JOINTS = {"gripper", "finger", "thumb", "index", "middle", "ring", "little", "pinky", "hand", "jaw", "claw"}
-#: Parts of the names of joints and links that occur in hands only.
-FINGERS = ("finger", "thumb", "knuckle", "pinky", "jaw")
-#: Words in the name of a frame that say that it measures something there.
-SENSORS = {"camera", "sensor", "imu", "optical", "lidar", "laser"}
-#: An arm has at least this many joints before its hand, and a finger no more than this.
-ARM_JOINTS = 4
+#: Joints to hold fixed, in one of the forms that `load_robot` takes.
+Lock: TypeAlias = str | Sequence[str] | Mapping[str, float | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,20 +102,20 @@ class Payload:
 def load_robot(
     source: str | bytes | Path,
     *,
-    lock: str | Sequence[str] | Mapping[str, float | None] = (),
+    lock: Lock = (),
     chain_to: str = "",
     package_dirs: Sequence[str | Path] = (),
     tool: Tool | Mapping[str, Any] | None = None,
     payload: Payload | Mapping[str, Any] | None = None,
     gravity: VectorLike | float | None = None,
 ) -> Robot:
-    """Robot from a URDF, which is a file or text, or by name.
+    """Robot from a URDF, which is a file or text, from an MJCF file, or by name.
 
     `load_robot(robot.source, **robot.options)` gives the same robot again.
 
     Args:
-        source: Path of a URDF, or a name of `available_robots()`, with or without `example-robot-data:`; or the text of
-            a URDF, beside which meshes are looked for in the current folder.
+        source: Path of a URDF or an MJCF file (`.xml`), or a name of `available_robots()`, with or without
+            `example-robot-data:`; or the text of a URDF, beside which meshes are looked for in the current folder.
         lock: Joints to hold fixed: names, each held at 0 or the limit nearest to it, or a mapping of names to
             positions [rad or m] or None.
         chain_to: Frame to which the joints from the base are kept. All others are locked, and what they carry
@@ -141,52 +132,90 @@ def load_robot(
     """
     tool, payload = _made(Tool, tool), _made(Payload, payload)
     folders = [Path(os.path.abspath(folder)) for folder in package_dirs]
-    urdf, canonical = _read(source)
-    mimics = {joint.name: joint.mimics for joint in urdf.joints.values() if joint.mimics}
-    if chain_to == "auto":
-        chain_to = _default_frame(_build(urdf, urdf.rewritten({})), mimics)
-    locked = _locked(urdf, lock, tool.frame if tool is not None and chain_to == tool.name else chain_to)
-    notes = urdf.notes + _check_joints(urdf, locked, is_chain=bool(chain_to))
-    root = urdf.rewritten(locked)
-    model = _build(urdf, root)
-    notes += oddities(model, chain_to) + resolve_shapes(root, urdf.path, folders)
+    # A chain may end at the tool, which is not there yet.
+    end = tool.frame if tool is not None and chain_to == tool.name else ""
+    read = (_read_mjcf if _is_mjcf(source) else _read_urdf)(source, lock, chain_to, end or chain_to, folders)
     if tool is not None:
-        _add_frame(model, tool.name, tool.frame, pin.SE3(np.asarray(tool.placement)), pin.Inertia.Zero())
+        _add_frame(read.model, tool.name, tool.frame, pin.SE3(np.asarray(tool.placement)), pin.Inertia.Zero())
     if payload is not None:
-        _add_frame(model, "payload", payload.frame, pin.SE3.Identity(), payload.spatial)
+        _add_frame(read.model, "payload", payload.frame, pin.SE3.Identity(), payload.spatial)
     options: dict[str, Any] = {
         "lock": {name: x if x is None else float(x) for name, x in lock.items()}
         if isinstance(lock, Mapping)
         else _names(lock),
-        "chain_to": chain_to,
+        "chain_to": read.chain_to,
         "package_dirs": [str(folder) for folder in folders],
         "tool": tool and tool.as_dict(),
         "payload": payload and payload.as_dict(),
     }
     robot = Robot(
-        model,
-        name=urdf.name,
-        source=canonical,
+        read.model,
+        name=read.name,
+        source=read.source,
         options={key: value for key, value in options.items() if value},
-        urdf_sha256=urdf.sha256,
-        notes=notes,
-        mimics=mimics,
-        shapes=Shapes(etree.tostring(root, encoding="unicode")),
+        urdf_sha256=read.sha256,
+        notes=read.notes,
+        mimics=read.mimics,
+        shapes=read.shapes,
     )
     return robot if gravity is None else robot.with_gravity(gravity)
 
 
 def leaf_frames(robot: Robot) -> tuple[str, ...]:
     """Frames that carry no other: the ends of all branches."""
-    return _leaves(robot.model)
+    return leaves_of(robot.model)
 
 
 def default_frame(robot: Robot) -> str:
     """The frame a person most likely means: what the chain was loaded to, or where the longest arm ends."""
-    return str(robot.options.get("chain_to") or _default_frame(robot.model, robot.mimics))
+    return str(robot.options.get("chain_to") or default_frame_of(robot.model, robot.mimics))
 
 
 # -- arguments ---------------------------------------------------------------------------------------------------
+
+
+class _Description(NamedTuple):
+    """Description of a robot by a file; `source` is a name by which it is found again."""
+
+    model: pin.Model
+    name: str
+    source: str
+    sha256: str
+    chain_to: str
+    notes: tuple[str, ...]
+    mimics: Mapping[str, str]
+    shapes: Shapes | None
+
+
+def _read_urdf(source: str | bytes | Path, lock: Lock, chain_to: str, end: str, folders: list[Path]) -> _Description:
+    """Description by a URDF, of the joints that are not locked and are on the way to `end`."""
+    urdf, canonical = _read(source)
+    urdf = without_planar(urdf, lock if isinstance(lock, Mapping) else _names(lock))
+    mimics = {joint.name: joint.mimics for joint in urdf.joints.values() if joint.mimics}
+    if chain_to == "auto":
+        chain_to = end = default_frame_of(_build(urdf, urdf.rewritten({})), mimics)
+    locked = _locked(urdf, lock, end)
+    notes = urdf.notes + _check_joints(urdf, locked, is_chain=bool(chain_to))
+    root = urdf.rewritten(locked)
+    model = _build(urdf, root)
+    notes += oddities(model, chain_to) + resolve_shapes(root, urdf.path, folders)
+    shapes = Shapes(etree.tostring(root, encoding="unicode"))
+    return _Description(model, urdf.name, canonical, urdf.sha256, chain_to, notes, mimics, shapes)
+
+
+def _is_mjcf(source: str | bytes | Path) -> bool:
+    return isinstance(source, (str, os.PathLike)) and str(source).endswith(".xml") and is_mjcf(Path(source))
+
+
+def _read_mjcf(source: str | bytes | Path, lock: Lock, chain_to: str, end: str, folders: list[Path]) -> _Description:
+    """Description by an MJCF file, likewise."""
+    path = Path(os.path.abspath(os.path.expanduser(str(source))))
+    model, sha256 = read_mjcf(path)
+    if chain_to == "auto":
+        chain_to = end = default_frame_of(model, {})
+    model = locked_model(model, lock if isinstance(lock, Mapping) else dict.fromkeys(_names(lock)), end)
+    notes = (NO_SHAPES, *oddities(model, chain_to))
+    return _Description(model, model.name, str(path), sha256, chain_to, notes, {}, None)
 
 
 def _read(source: str | bytes | Path) -> tuple[Urdf, str]:
@@ -196,7 +225,7 @@ def _read(source: str | bytes | Path) -> tuple[Urdf, str]:
     if not isinstance(source, (str, os.PathLike)):
         raise InputError(
             f"a robot is given by name, path or text of a URDF, got {type(source).__name__}; of a pin.Model make "
-            "Robot(model)"
+            "Robot.from_pinocchio(model)"
         )
     path, canonical = _find(source)
     return read_urdf(path), canonical
@@ -229,7 +258,7 @@ def _names(lock: str | Sequence[str]) -> list[str]:
     return [lock] if isinstance(lock, str) else list(lock)
 
 
-def _locked(urdf: Urdf, lock: str | Sequence[str] | Mapping[str, float | None], frame: str) -> dict[str, float]:
+def _locked(urdf: Urdf, lock: Lock, frame: str) -> dict[str, float]:
     """Position of every joint held fixed: by `lock`, by its limits, or because it is not on the way to `frame`."""
     given = dict(lock) if isinstance(lock, Mapping) else dict.fromkeys(_names(lock))
     chain = urdf.chain(frame) if frame else urdf.moving
@@ -264,8 +293,8 @@ def _check_joints(urdf: Urdf, locked: Mapping[str, float], *, is_chain: bool) ->
         where = f"{urdf.path} line {joint.line}: joint {joint.name!r}"
         if not joint.has_one_degree:
             raise RobotError(
-                f"{where} is {joint.kind}; eos_pin controls revolute, continuous and prismatic joints. Lock it, or "
-                "load the chain to one frame"
+                f"{where} is {joint.kind}; eos_pin controls revolute, continuous, prismatic and planar joints. "
+                "Lock it, or load the chain to one frame"
             )
         if joint.mimics and is_chain:
             raise RobotError(
@@ -316,66 +345,3 @@ def _pose(value: pin.SE3 | VectorLike | Sequence[Sequence[float]]) -> Float[Arra
     ):
         raise InputError(f"a placement is a pin.SE3, a 4 × 4 pose or a position (x, y, z), got {value!r}")
     return frozen_copy(matrix)
-
-
-# -- frames ------------------------------------------------------------------------------------------------------
-
-
-def _leaves(model: pin.Model) -> tuple[str, ...]:
-    parents = {frame.parentFrame for frame in model.frames}
-    return tuple(frame.name for i, frame in enumerate(model.frames) if i and i not in parents)
-
-
-def _default_frame(model: pin.Model, mimics: Mapping[str, str]) -> str:
-    """Frame behind the most joints of an arm; among these the one with the best name."""
-    is_hand = _hands(model, mimics)
-    leaves = set(_leaves(model))
-
-    def merit(frame: pin.Frame) -> tuple[bool, bool, int, int, bool, bool]:
-        joints = list(model.supports[frame.parentJoint])
-        words = _words(frame.name)
-        rank = next((i for i, word in enumerate(WORKING_FRAMES) if word in words), len(WORKING_FRAMES))
-        return (
-            not any(model.names[i] in mimics for i in joints),
-            not any(is_hand[i] for i in joints),
-            len(joints),
-            -rank,
-            SENSORS.isdisjoint(words),
-            frame.name in leaves,
-        )
-
-    links = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
-    return str(max((frame for frame in model.frames if frame.type in links), key=merit).name)
-
-
-def _hands(model: pin.Model, mimics: Mapping[str, str]) -> list[bool]:
-    """Whether each joint belongs to a hand, not to the arm that carries it; all False for a robot that is a hand."""
-    bodies = [""] * model.njoints
-    for frame in reversed(list(model.frames)):
-        if frame.type == pin.FrameType.BODY:
-            # In the end the first one: the link that the joint itself moves.
-            bodies[frame.parentJoint] = frame.name
-    followed = set(mimics.values()) | set(mimics)
-    is_hand = [
-        not HAND_JOINTS.isdisjoint(_words(joint))
-        or any(word in name.lower() for name in (joint, body) for word in FINGERS)
-        or joint in followed
-        for joint, body in zip(model.names, bodies, strict=True)
-    ]
-    # A hand goes on as one to its end; `elbow_ring` with an arm behind it is none.
-    depth = [0] * model.njoints
-    for i in reversed(range(1, model.njoints)):
-        is_hand[i] = is_hand[i] and all(is_hand[child] for child in model.children[i])
-        depth[i] = 1 + max((depth[child] for child in model.children[i]), default=0)
-    for i in range(1, model.njoints):
-        # Where an arm ends in several short branches, these are fingers, whatever they are called.
-        branches = list(model.children[i])
-        if len(model.supports[i]) > ARM_JOINTS and len(branches) > 1 and max(depth[b] for b in branches) < ARM_JOINTS:
-            for joint in (joint for branch in branches for joint in model.subtrees[branch]):
-                is_hand[joint] = True
-    return is_hand if not all(is_hand[1:]) else [False] * model.njoints
-
-
-def _words(name: str) -> set[str]:
-    """Words of a name such as `LeftHand_link2`, in lower case."""
-    return {word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}

@@ -25,10 +25,11 @@ from eos_pin._arrays import (
     unchecked,
     vector,
 )
-from eos_pin.errors import RobotError, UnknownNameError
+from eos_pin.errors import InputError, RobotError
 from eos_pin.robot._angles import Angles
 from eos_pin.robot._data import workspace
-from eos_pin.robot._parts import HasShapes, Joint
+from eos_pin.robot._one_degree import one_degree_model
+from eos_pin.robot._parts import HasShapes, Joint, find_frame, listed, reach_of
 from eos_pin.robot.postures import JointsLike, in_order
 
 #: M(q) counts as singular below this reciprocal condition number: torques would have no meaning.
@@ -44,8 +45,8 @@ class Robot(Angles):
 
     A robot without inertia has all of kinematics; its dynamics are refused where they are first used.
 
-    Made by `eos_pin.load_robot`, or directly from a `pin.Model` whose joints all have one degree of freedom; the
-    model is copied, so the caller's stays as it is.
+    Made by `eos_pin.load_robot`, by `from_pinocchio`, or directly from a `pin.Model` whose joints all have one degree
+    of freedom; the model is copied, so the caller's stays as it is.
 
     Attributes:
         model: Pinocchio model; treat it as read-only.
@@ -89,6 +90,22 @@ class Robot(Angles):
                     "or load the chain to one frame"
                 )
         self._check_order()
+
+    @classmethod
+    def from_pinocchio(cls, model: pin.Model, name: str = "") -> Robot:
+        """Robot from a Pinocchio model, made by hand or read from another format, such as MJCF.
+
+        Args:
+            model: The model. Its continuous joints may have two coordinates; a planar joint becomes three joints.
+            name: Name of the robot; by default that of the model.
+
+        Raises:
+            RobotError: A joint is of another kind, such as a floating base; or the reasons of the constructor.
+            InputError: It is no model.
+        """
+        if not isinstance(model, pin.Model):
+            raise InputError(f"a pinocchio.Model is needed, got {model!r}; load_robot takes files and names")
+        return cls(one_degree_model(model), name=name)
 
     def _check_order(self) -> None:
         """Refuse branches whose joints are not numbered one branch after the other."""
@@ -355,36 +372,6 @@ class Robot(Angles):
 
     def __repr__(self) -> str:
         return f"Robot({self.name!r}, n={self.n})"
-
-
-def reach_of(model: pin.Model, end: str = "") -> float:
-    """Length from joint to joint to the last frame [m], or to the frame `end` of a chain."""
-    steps = [np.linalg.norm(placement.translation) for placement in list(model.jointPlacements)[2:]]
-    # Beyond the end of a chain there may be a whole robot that is locked.
-    last = [
-        np.linalg.norm(frame.placement.translation)
-        for frame in model.frames
-        if frame.parentJoint == model.njoints - 1 and end in ("", frame.name)
-    ]
-    return float(sum(steps) + max(last, default=0.0))
-
-
-def listed(names: list[str], most: int = 8) -> str:
-    """The first names, and how many more there are."""
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def find_frame(model: pin.Model, name: str) -> int:
-    """Index of a frame; a link before a joint of the same name, because that is what a person means.
-
-    Raises:
-        UnknownNameError: There is no such frame; Pinocchio itself would silently answer with the frame count.
-    """
-    found = [i for i, frame in enumerate(model.frames) if frame.name == name]
-    if not found:
-        raise UnknownNameError("frame", name, dict.fromkeys(frame.name for frame in model.frames))
-    links = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
-    return next((i for i in found if model.frames[i].type in links), found[0])
 
 
 def _limit(values: Array, absent: float) -> JointVector:

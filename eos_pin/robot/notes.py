@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from eos_pin.robot.model import listed, reach_of
+from eos_pin.robot._parts import listed, reach_of
 
 #: No robot reaches as far as this; what does has its lengths in another unit [m].
 FAR = 50.0

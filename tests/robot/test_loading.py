@@ -409,7 +409,6 @@ WRONG = {
     "unknown type": (arm(joint(kind="hinge")), "type 'hinge'; a URDF knows revolute"),
     "no type": (arm(joint(kind="")), "type ''"),
     "floating": (arm(joint(kind="floating")), "line 3: joint 'j' is floating"),
-    "planar": (arm(joint(kind="planar")), "line 3: joint 'j' is planar"),
     "no limit": (arm(joint(inner="")), "no <limit>"),
     "limits crossed": (arm(joint(inner='<limit lower="1" upper="-1"/>')), "lower limit, 1, above its upper, -1"),
     "limit no number": (
@@ -653,7 +652,7 @@ def test_text_that_is_no_urdf_is_refused(source, message):
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("source", [pin.Model(), None, 7])
 def test_what_is_no_source_is_refused(source):
-    with pytest.raises(InputError, match=r"given by name, path or text .* Robot\(model\)"):
+    with pytest.raises(InputError, match=r"given by name, path or text .* Robot\.from_pinocchio\(model\)"):
         load_robot(source)
 
 
