@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import pinocchio as pin
 import tyro
 from crew import Worker, WorkerError
 from lxml import etree
@@ -56,6 +57,8 @@ ARMS = {
 }
 #: Seeds that must find the same.
 SEEDS = 3
+#: Random postures of the check by Pinocchio alone.
+STARTS = 5000
 #: Half of the room that small limits leave each joint [rad].
 ROOM = (0.1, 0.01, 0.001)
 
@@ -73,7 +76,8 @@ class Arm:
         same: Poses at which all seeds found the same components.
         arcs: Poses, of those with small limits, at which a posture within them was found.
         agreed: Poses at which ssik lists the same components; None where it refuses the arm.
-        confirmed: Poses at which it lists fewer, but confirms the points of all.
+        confirmed: Poses at which it lists fewer, but confirms the points of all, and a search from random postures by
+            Pinocchio alone leads to each component and nowhere else.
         apart: Largest distance of its points from ours [rad].
         ssik_ms: Its milliseconds for all charts of one pose, median.
         refused: Why it refuses the arm.
@@ -218,7 +222,45 @@ def _compare(arm: Arm, worker: Worker, pose: list[float], rows: np.ndarray, mani
         return
     others = [c for i, c in enumerate(manifold.components) if i not in found]
     asked = [[*pose, *q] for component in others for q in component.curve.q[::10]]
-    arm.confirmed += all(answer == [1.0] for answer in worker.run("manifold:located", asked, 0)["answers"])
+    located = all(answer == [1.0] for answer in worker.run("manifold:located", asked, 0)["answers"])
+    arm.confirmed += located and _found_by_pinocchio(manifold, pin.SE3(np.reshape(pose, (4, 4))))
+
+
+def _found_by_pinocchio(manifold: SelfMotionManifold, goal: pin.SE3) -> bool:
+    """Whether random postures led to a pose by Pinocchio alone meet each component, and nothing else."""
+    task, random = manifold.task, np.random.default_rng(7)
+    assert isinstance(task, PoseTask)
+    hits = np.zeros(len(manifold.components), dtype=int)
+    for _ in range(STARTS):
+        q = _solved(task.robot.model, task.robot.model.getFrameId(task.frame), goal, random.uniform(-np.pi, np.pi, 7))
+        if q is not None:
+            distances = [component.locate(q).distance for component in manifold.components]
+            if min(distances) > 1e-6:
+                return False
+            hits[int(np.argmin(distances))] += 1
+    return bool(hits.all())
+
+
+def _solved(model: pin.Model, frame: int, goal: pin.SE3, q: np.ndarray) -> np.ndarray | None:
+    """Joints at a pose by damped Gauss-Newton steps; None where they end elsewhere."""
+    data, damping, least = model.createData(), 1e-2, np.inf
+    here, J = q, np.zeros((6, len(q)))
+    for _ in range(100):
+        pin.framesForwardKinematics(model, data, q)
+        error = pin.log6(data.oMf[frame].actInv(goal)).vector
+        size = float(error @ error)
+        if size < 1e-22:
+            return q
+        if size < least:
+            least, damping, here, best = size, max(0.3 * damping, 1e-12), q, error
+            J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
+        elif damping > 1e6:
+            return None
+        else:
+            damping = 8.0 * max(damping, 1e-9)
+        step = J.T @ np.linalg.solve(J @ J.T + damping * min(1.0, least) * np.eye(6), best)
+        q = here + step / max(1.0, np.abs(step).max())
+    return None
 
 
 def _written(robot: Robot, folder: Path) -> tuple[Path, str]:
