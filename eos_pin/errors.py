@@ -19,19 +19,19 @@ class EosError(Exception):
 
 
 class InputError(EosError, ValueError):
-    """An argument is of the wrong shape, not finite, or outside the allowed range."""
+    """Argument of the wrong shape, not finite, or outside the allowed range."""
 
 
 class StateError(InputError):
-    """A robot state handed to a controller cannot be used: wrong shape, or not finite."""
+    """Robot state that a controller cannot use: of the wrong shape, or not finite."""
 
 
 class RobotError(EosError):
-    """A robot description cannot be loaded, or its model cannot be controlled."""
+    """Robot description that cannot be loaded, or whose model cannot be controlled."""
 
 
 class UnknownNameError(InputError, KeyError):
-    """A name (robot, frame, joint, setting) is not known.
+    """Unknown name of a robot, frame, joint or setting.
 
     Attributes:
         kind: What the name should have named, such as `"frame"`.
@@ -52,7 +52,7 @@ class UnknownNameError(InputError, KeyError):
 
 
 class MissingDependencyError(EosError, ImportError):
-    """A package that is not installed with eos_pin is needed.
+    """Missing package, one that is not installed with eos_pin.
 
     Attributes:
         package: Name of the package.
@@ -68,11 +68,11 @@ class MissingDependencyError(EosError, ImportError):
 
 
 class ChartError(EosError):
-    """A chart cannot be made, or is used outside the neighbourhood on which it holds."""
+    """Chart that cannot be made, or use of a chart outside its neighbourhood."""
 
 
 class InverseError(ChartError):
-    """The inverse kinematic map u = h(z, v) was not found on this chart.
+    """Failure to find the inverse kinematic map u = h(z, v) on a chart.
 
     Attributes:
         residual: Task error that was left, in the task's own units.
@@ -88,7 +88,7 @@ class InverseError(ChartError):
 
 
 class SingularError(ChartError):
-    """The task Jacobian G' loses rank: the task itself is singular, no chart can help.
+    """Loss of rank of the task Jacobian G': the task itself is singular, and no chart can help.
 
     Attributes:
         rank: Rank that is left, at most m; None where it was not computed.
@@ -105,7 +105,7 @@ class SingularError(ChartError):
 
 
 class PlanError(EosError):
-    """No motion along a path was found, or a plan does not fit its use.
+    """Path without a motion that was found, or plan that does not fit its use.
 
     Attributes:
         waypoint: Number of the last way point that was reached; None where that has no meaning.
@@ -125,19 +125,19 @@ class PlanError(EosError):
 
 
 class ResultError(EosError):
-    """A result file is damaged, foreign, or of a version that cannot be read."""
+    """Result file that is damaged, foreign, or of a version that cannot be read."""
 
 
 class OutputError(EosError):
-    """A file cannot be written."""
+    """File that cannot be written."""
 
 
 class ViewerError(EosError):
-    """The viewer cannot show the scene."""
+    """Failure of the viewer to show a scene."""
 
 
 class OldNameError(InputError, AttributeError):
-    """A name of an earlier version was used; the message has the new one."""
+    """Use of a name of an earlier version; the message has the new one."""
 
 
 class Renamed:

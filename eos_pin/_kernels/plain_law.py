@@ -169,12 +169,7 @@ class TrackingLaw(AccelerationMap):
     """Joint accelerations of a law for task and self-motion; Eqs. (36), (45).
 
     Args:
-        Vt: As for `AccelerationMap`.
-        Qt: As for `AccelerationMap`.
-        most: As for `AccelerationMap`.
-        fast: As for `AccelerationMap`.
-        runaway: As for `AccelerationMap`.
-        braking: As for `AccelerationMap`.
+        Vt, Qt, most, fast, runaway, braking: As for `AccelerationMap`.
         kp: Gain on the task error, (m,).
         kd: Gain on the task's velocity error, (m,).
         kp_v: Gain on v, (r,).

@@ -95,7 +95,7 @@ class AccelerationMap:
         return self.chart.Vt, self.chart.row_basis.T, most, FAST_SPEED, runaway, OVERSPEED_DAMPING
 
     def __call__(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
-        """Joint acceleration, and a lower bound of the chart's margin that is got on the way, 0 if none is.
+        """Joint acceleration, and a lower bound of the chart's margin; 0 where none is computed.
 
         Args:
             J: Jacobian G'(q).

@@ -1,4 +1,4 @@
-"""From numbers in a file or on the command line to a path of a task, or a point of it."""
+"""Paths and points of a task from numbers in a file or on the command line."""
 
 from __future__ import annotations
 

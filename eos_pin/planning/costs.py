@@ -41,7 +41,7 @@ class Costs(NamedTuple):
 def costs_of(
     cost: Cost | None, manifold: Manifold, bounds: tuple[Array, Array], clearances: Clearances | None, reference: Array
 ) -> Costs:
-    """Costs that were asked for; each by itself is about one per second where it matters.
+    """Costs of a plan, each scaled to about one per second.
 
     Args:
         cost: Names of `NAMES`, functions, or both with weights. `"posture"` is the squared distance from `reference`,

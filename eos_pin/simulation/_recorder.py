@@ -207,7 +207,7 @@ class Recorder:
 
 
 def _elsewhere(apart: Array | None) -> str:
-    """Sentence about joints that ended away from those they were to follow; empty where they did not."""
+    """Message about joints far from the planned ones at the end of a run; empty if they are near."""
     if apart is None or apart[-1] <= ELSEWHERE:
         return ""
     return (

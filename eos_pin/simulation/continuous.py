@@ -97,7 +97,7 @@ def simulate_extended(
     task_force: TaskForce | None = None,
     observer: Observer | None = None,
 ) -> Result:
-    """The same motion as `simulate`, integrated in w = (z, v); Eqs. (13), (30).
+    """Motion as by `simulate`, integrated in w = (z, v); Eqs. (13), (30).
 
     The joints never appear as state: they are y(z, v) on the current chart. For a task on a Lie group, z is integrated
     in exponential coordinates about the chart's z_bar.
@@ -193,7 +193,7 @@ def _integrate(
 
 
 def _expired_at(system: System, solver: Any, dense: Any, margin: float) -> float:
-    """Time within the solver's last step at which the margin is used up, which at its end is `margin`."""
+    """Time within the solver's last step at which the margin reaches zero; `margin` is that at the end of the step."""
     from scipy.optimize import brentq
 
     def left(t: float) -> float:

@@ -17,8 +17,6 @@ from eos_pin.errors import InputError
 TAU = 2.0 * np.pi
 #: Task error of points between the nodes [m, rad].
 EXACT = 1e-11
-#: How close a state must be to the curve to lie on it [rad or m].
-ON_CURVE = 1e-6
 #: How close the cubics must come to it to say so, relative to the distance of the nodes.
 CLOSE = 0.02
 
