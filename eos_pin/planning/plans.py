@@ -22,7 +22,7 @@ from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
 from eos_pin.tasks.batch import Manifold
 from eos_pin.tasks.stacked import task_from_description
-from eos_pin.trajectories.base import JointTarget, Trajectory
+from eos_pin.trajectories.base import JointTarget, Target, Trajectory
 from eos_pin.trajectories.storage import described, path_from
 from eos_pin.trajectories.through import WaypointPath, sampled
 from eos_pin.trajectories.timed import Pace, TimedPath
@@ -237,6 +237,10 @@ class Plan:
         knots = self._knots
         rows = np.searchsorted(knots, path.times - 1e-9 * knots[-1])
         return self.q[np.minimum(rows, len(self.q) - 1)][:count]
+
+    def task_target(self, t: float) -> Target:
+        """Target of the task at time t."""
+        return self.path(self._wrapped(t))
 
     # -- identity
     # --------------------------------------------------------------------------------------------------------
