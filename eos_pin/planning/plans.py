@@ -242,8 +242,7 @@ class Plan:
         """Target of the task at time t."""
         return self.path(self._wrapped(t))
 
-    # -- identity
-    # --------------------------------------------------------------------------------------------------------
+    # -- identity ------------------------------------------------------------------------------------------------------
 
     def check(self, robot: Robot) -> None:
         """Refuse another robot, tool or payload than those it was planned for.
