@@ -94,6 +94,7 @@ from .trajectories import Geodesic as Geodesic
 from .trajectories import Harmonic as Harmonic
 from .trajectories import Hold as Hold
 from .trajectories import PoseTrajectory as PoseTrajectory
+from .trajectories import SetPoint as SetPoint
 from .trajectories import StackedTrajectory as StackedTrajectory
 from .trajectories import Target as Target
 from .trajectories import Trajectory as Trajectory

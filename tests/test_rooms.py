@@ -20,7 +20,7 @@ TABLE = """
     _kernels        pinocchio scipy
     robot           coal lxml pinocchio yourdfpy
     tasks           pinocchio
-    trajectories    pinocchio scipy
+    trajectories    pinocchio ruckig scipy
     charts          scipy
     planning        coal pinocchio scipy toppra trimesh yaml
     control         daqp scipy

@@ -57,26 +57,27 @@ class SelfTargets:
         return (self.ahead - left - v - moved) / h**2
 
 
-def self_targets(law: Objective, t: float, period: float, r: int) -> SelfTargets:
+def self_targets(law: Objective, t: float, period: float, step: float, r: int) -> SelfTargets:
     """Targets of a law of the self-motion around time t.
 
     Args:
         law: The law.
         t: Time [s].
         period: Control period [s].
+        step: Time of the path that goes by meanwhile [s].
         r: Degree of redundancy.
     """
     if isinstance(law, FollowJoints):
-        (now, velocity, _), (ahead, _, _) = law.at(t), law.joints(t + period)
+        (now, velocity, _), (ahead, _, _) = law.at(t), law.joints(t + step)
         factors = decay(law.kp, law.kd, period)
-        return SelfTargets(law.joints, period, now, ahead, now - period * velocity, factors, joints=True)
+        return SelfTargets(law.joints, period, now, ahead, now - step * velocity, factors, joints=True)
     # A law of one's own counts.
     if type(law) is Track:
         kp, kd, reference = law.law(r)
         if (held := reference.constant) is not None:
             return SelfTargets(reference, period, held, held, held, decay(kp, kd, period))
-        at, later = reference(t), reference(t + period)
-        return SelfTargets(reference, period, at.z, later.z, at.z - period * at.dz, decay(kp, kd, period))
+        at, later = reference(t), reference(t + step)
+        return SelfTargets(reference, period, at.z, later.z, at.z - step * at.dz, decay(kp, kd, period))
     return SelfTargets(law, period)
 
 

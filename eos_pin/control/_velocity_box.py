@@ -15,6 +15,8 @@ from eos_pin._arrays import JointVector, Vector
 RETURN = 0.1
 #: A way beyond this counts as without end [rad or m]; a joint keeps so far from its ends, against rounding.
 ENDLESS, ROUNDING = 1e6, 1e-12
+#: Part of the room for acceleration that a change of pace uses.
+MOST_PART = 0.98
 
 
 class VelocityBox:
@@ -70,3 +72,12 @@ class VelocityBox:
         k = np.floor(0.5 * (np.sqrt(1.0 + self._per_way * inside) - 1.0))
         most = (inside / self._period + 0.5 * self._brake * k * (k + 1.0)) / (k + 1.0)
         return np.where(room < 0.0, RETURN * room / self._period, most)
+
+
+def part_within(a: JointVector, other: JointVector, least: JointVector, most: JointVector) -> float:
+    """Part of the way from one acceleration to another that is within bounds, where the first one is."""
+    gain = other - a
+    room = np.where(gain > 0.0, most, least) - a
+    counts = (gain != 0.0) & (a >= least) & (a <= most)
+    parts = room[counts] / gain[counts]
+    return float(min(MOST_PART * parts.min(initial=2.0), 1.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,10 +24,10 @@ from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import AccelerationMap
 from eos_pin.control._sampled_law import SelfTargets, decay, self_targets
 from eos_pin.control._smallest_change import SmallestChange
-from eos_pin.control._velocity_box import VelocityBox
+from eos_pin.control._velocity_box import VelocityBox, part_within
 from eos_pin.control.limited import JointLimits
 from eos_pin.control.objectives import Objective, Track
-from eos_pin.control.state import EosState
+from eos_pin.control.state import EosState, KinematicState
 from eos_pin.errors import InputError, SingularError, StateError
 from eos_pin.tasks.base import Point, Task
 from eos_pin.trajectories.base import Target, Trajectory, check_reference
@@ -37,6 +37,8 @@ from eos_pin.trajectories.base import Target, Trajectory, check_reference
 SOLVED, STEPS = 1e-28, 3
 #: Largest difference of two times that are the same [s], and of a period from the control period, as a part of it.
 SAME_TIME, LATE = 1e-12, 0.01
+#: Largest change of the pace in a second [1/s].
+PACE_RATE = 20.0
 #: Bound that counts as none in the quadratic program.
 NONE = 1e30
 
@@ -53,25 +55,14 @@ class Command(NamedTuple):
     dq: JointVector
 
 
-@dataclass(frozen=True, eq=False)
-class _State:
-    """Memory of a loop from one step to the next: the last command, and the targets it had."""
+class _Solved(NamedTuple):
+    """Joint acceleration of the law at one pace, its chart, whether no direction fades, and the goals."""
 
-    t: float
-    q: JointVector
-    dq: JointVector
-    measured: JointVector
-    z: Point
+    a: JointVector
     on: EosState
-    deficit: TaskVector
-    limited: bool
-    lag: float
-    # At the step before: task point and targets, and whose targets they were.
-    z_before: Point
-    z_d: Point
-    reference: object
-    v_d: Any = None
-    objective: object = None
+    limitless: bool
+    goal: Point
+    v_d: SelfTargets
 
 
 class KinematicLoop:
@@ -88,6 +79,9 @@ class KinematicLoop:
     and are compared with the command. A state that cannot be used, a clock that runs backwards, a jump, and joints that
     do not follow the command raise a `StateError` and change nothing. `reference`, `self_motion`, `kp`, `kd` and
     `limits` may be assigned at any time, and count from the next step on.
+
+    `pace` is the speed of time along task path and self-motion: 1 at the start, 0 to stop on the path as fast as the
+    limits allow, 1 to go on from there. The path time stays behind meanwhile, see `path_delay`.
 
     Args:
         task: The task.
@@ -130,6 +124,7 @@ class KinematicLoop:
         self.task, self.robot, self.atlas = task, task.robot, atlas or Atlas(task)
         self._smallest = SmallestChange(task.m, task.robot.n)
         self._eye = np.eye(task.robot.n)
+        self.pace: float = 1.0
         self._ahead: tuple[Any, float, Target] | None = None
         self._box: VelocityBox
         self._decay: tuple[Any, Any]
@@ -153,6 +148,8 @@ class KinematicLoop:
             value.check(n, n - m)
         elif name == "limits":
             object.__setattr__(self, "_box", _box(value, n, self._period))
+        elif name == "pace":
+            value = number(value, "the pace", at_least=0.0)
         elif name in ("task", "robot", "atlas") and name in vars(self):
             raise InputError(f"the {name} of a KinematicLoop cannot be changed; make another loop")
         object.__setattr__(self, name, value)
@@ -177,6 +174,11 @@ class KinematicLoop:
         return self._state is not None and self._state.limited
 
     @property
+    def path_delay(self) -> float:
+        """Time by which the path is behind the clock, because of a pace of less than 1 [s]."""
+        return 0.0 if self._state is None else self._state.behind + (1.0 - self._state.pace) * self._period
+
+    @property
     def lag(self) -> float:
         """Largest distance of a measured joint from its command in the last step [rad or m]."""
         return 0.0 if self._state is None else self._state.lag
@@ -191,7 +193,7 @@ class KinematicLoop:
 
     def reset(self) -> None:
         """Forget the chart and the last command; the next step starts a run at rest."""
-        self._state: _State | None = None
+        self._state: KinematicState | None = None
 
     # -- the loop ----------------------------------------------------------------------------------------------------
 
@@ -230,15 +232,15 @@ class KinematicLoop:
         self._state = self._next(t, state)
         return Command(self._state.q.copy(), self._state.dq.copy())
 
-    def _begun(self, t: float, q: JointVector) -> _State:
+    def _begun(self, t: float, q: JointVector) -> KinematicState:
         """State at rest at q, on a chart based there."""
         chart = self.atlas.start(q)
         self.self_motion.check_start(t, q, chart)
         z, rest = self.task._value(q), np.zeros(q.size)
         on = EosState(drive=AccelerationMap(chart), since=t)
-        return _State(t, q, rest, q, z, on, np.zeros(self.task.m), False, 0.0, z, z, None)
+        return KinematicState(t, q, rest, q, z, on, np.zeros(self.task.m), False, 0.0, z, z, None)
 
-    def _seen(self, state: _State, q: JointVector) -> _State:
+    def _seen(self, state: KinematicState, q: JointVector) -> KinematicState:
         """The state with new measured joints."""
         moved = np.abs(q - state.measured)
         # If it is a jump, the next state is believed if it is near this one.
@@ -260,26 +262,38 @@ class KinematicLoop:
             )
         return replace(state, measured=q, lag=float(away[joint]))
 
-    def _next(self, t: float, state: _State) -> _State:
+    def _next(self, t: float, state: KinematicState) -> KinematicState:
         """State after the step at time t."""
-        task, h, q, u, n = self.task, self._period, state.q, state.dq, self.robot.n
+        task, h, q, u, r = self.task, self._period, state.q, state.dq, self.robot.n - self.task.m
         known = state.reference is self.reference and abs(t - state.t - h) <= LATE * h
-        now, ahead = self._target(t), self._target(t + h)
-        z_before = state.z_before
+        # Path time stays behind while the pace is less than 1.
+        behind, pace = state.behind + (1.0 - state.pace) * (t - state.t), state.pace
+        s = t - behind
+        now, law = self._target(s), self_targets(self.self_motion, s, h, h * pace, r)
         # Where the last target is another's or of another time, the velocity takes its place.
-        z_d_before = state.z_d if known else task._plus(now.z, -h * now.dz)
+        z_d_before = state.z_d if known else task._plus(now.z, -h * pace * now.dz)
+        if not known or state.objective is not law.of or state.v_d is None:
+            state = replace(state, v_d=law.before)
         a1, a2 = self._decay
-        error = a1 * task._minus(now.z, state.z) - a2 * task._minus(z_d_before, z_before)
-        goal = task._plus(ahead.z, -error)
+        error = a1 * task._minus(now.z, state.z) - a2 * task._minus(z_d_before, state.z_before)
         p = q + h * u
         z_p, J = task._linearize(p)
-        asked = task._minus(goal, z_p) / h**2
-        on, v_d = state.on, self_targets(self.self_motion, t, h, n - task.m)
-        if not known or state.objective is not v_d.of or state.v_d is None:
-            state = replace(state, v_d=v_d.before)
-        a, on, limitless = self._acceleration(t, state, on, v_d, J, asked)
+
+        def solved(pace: float) -> _Solved:
+            goal = task._plus(self._target(s + h * pace).z, -error)
+            v_d = self_targets(self.self_motion, s, h, h * pace, r)
+            return _Solved(*self._acceleration(t, state, v_d, J, task._minus(goal, z_p) / h**2), goal, v_d)
+
         least, most = self._box(q, u)
         least, most = (least - u) / h, (most - u) / h
+        found = solved(pace)
+        if pace != self.pace:
+            gain = min(max(self.pace - pace, -h * PACE_RATE), h * PACE_RATE)
+            other = solved(pace + gain)
+            part = part_within(found.a, other.a, least, most)
+            pace = self.pace if part == 1.0 and abs(self.pace - pace) <= h * PACE_RATE else pace + part * gain
+            found = solved(pace)
+        a, on, limitless, goal, v_d = found
         limited = bool(((a < least) | (a > most)).any())
         if limited:
             a = a + self._change(J, least - a, most - a)
@@ -294,9 +308,9 @@ class KinematicLoop:
             q_next = q + h * within
             z = task._value(q_next)
         deficit = task._minus(goal, z) / h**2
-        return _State(
+        return KinematicState(
             t, q_next, within, state.measured, z, on, deficit, limited, state.lag, state.z, now.z, self.reference,
-            v_d.now, v_d.of,
+            v_d.now, v_d.of, pace, behind,
         )  # fmt: skip
 
     def _target(self, t: float) -> Target:
@@ -309,10 +323,10 @@ class KinematicLoop:
         return target
 
     def _acceleration(
-        self, t: float, state: _State, on: EosState, v_d: SelfTargets, J: Jacobian, asked: TaskVector
+        self, t: float, state: KinematicState, v_d: SelfTargets, J: Jacobian, asked: TaskVector
     ) -> tuple[JointVector, EosState, bool]:
         """Joint acceleration of the law, the chart it is on from here, and whether no direction fades."""
-        q, u = state.q, state.dq
+        q, u, on = state.q, state.dq, state.on
 
         def law(chart: Chart) -> SelfMotionVector:
             if v_d.factors is None:

@@ -1,4 +1,4 @@
-"""Memory of `EosController` from one call to the next."""
+"""Memory of `EosController` and of `KinematicLoop` from one call to the next."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from eos_pin._arrays import JointVector, SelfMotionVector
+from eos_pin._arrays import JointVector, SelfMotionVector, TaskVector
 from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import AccelerationMap
+from eos_pin.tasks.base import Point
 
 #: Rate at which the acceleration that is carried over to the next chart is forgotten [1/s], and that for every radian
 #: per second of joint speed: it has to be gone before a fast robot is through with the chart.
@@ -48,3 +49,27 @@ class EosState:
             return None
         rate = max(FORGETTING, PER_SPEED * math.sqrt(dq.dot(dq)))
         return math.exp(rate * (self.since - t)) * self.carried
+
+
+@dataclass(frozen=True, eq=False)
+class KinematicState:
+    """Memory of a `KinematicLoop` from one step to the next: the last command, and the targets it had."""
+
+    t: float
+    q: JointVector
+    dq: JointVector
+    measured: JointVector
+    z: Point
+    on: EosState
+    deficit: TaskVector
+    limited: bool
+    lag: float
+    # At the step before: task point and targets, and whose targets they were.
+    z_before: Point
+    z_d: Point
+    reference: object
+    v_d: Any = None
+    objective: object = None
+    # Pace of the path over the last period, and how far path time is behind at its start [s].
+    pace: float = 1.0
+    behind: float = 0.0

@@ -6,6 +6,7 @@ from .harmonic import circle as circle
 from .harmonic import figure_eight as figure_eight
 from .harmonic import line as line
 from .pose import PoseTrajectory as PoseTrajectory
+from .set_point import SetPoint as SetPoint
 from .spline import Geodesic as Geodesic
 from .spline import cubic_spline as cubic_spline
 from .spline import minimum_jerk as minimum_jerk

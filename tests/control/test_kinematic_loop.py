@@ -208,3 +208,28 @@ def test_kinematic_loop_needs_no_inertia(tmp_path):
     task, q = PositionTask(robot, "l3", axes="xy"), np.array([0.3, 0.9, -0.5])
     loop = KinematicLoop(task, task.hold(q), control_period=0.01)
     np.testing.assert_allclose(run(loop, q, 10)[0][-1], q, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_kinematic_loop_stops_on_its_path_within_limits_and_goes_on(panda, seed):
+    random = np.random.default_rng(seed)
+    task = PositionTask(panda, HAND)
+    path = circle(task.value(REST), radius=0.1, period=3.0)
+    limits = JointLimits.without_torques(panda, acceleration=6.0)
+    loop = KinematicLoop(task, path, control_period=0.008, limits=limits)
+    # The start is a transient; stop once it has decayed.
+    before = 400 + int(random.integers(100))
+    q, dq = run(loop, REST, before)
+    loop.pace = 0.0
+    more, slower = run(loop, q[-1], 125, start=before)
+    assert np.abs(slower[-10:]).max() < 1e-6
+    change = np.diff(np.vstack((dq[-1], slower)), axis=0) / 0.008
+    assert (np.abs(change) <= 6.0 * (1.0 + 1e-9)).all()
+    radius = 0.1
+    middle = path(0.0).z + path(1.5).z
+    away = [np.linalg.norm(task.value(row) - 0.5 * middle) - radius for row in more]
+    np.testing.assert_allclose(away, 0.0, atol=1e-9)
+    loop.pace = 1.0
+    last, _ = run(loop, more[-1], 250, start=before + 125)
+    at = (before + 375) * 0.008 - loop.path_delay
+    np.testing.assert_allclose(task.value(last[-1]), path(at).z, atol=1e-9)

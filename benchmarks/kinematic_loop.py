@@ -1,0 +1,158 @@
+"""`KinematicLoop`: accuracy, limits in random runs, and steps and drift beside Pink, mink and PlaCo.
+
+    python benchmarks/kinematic_loop.py tracking            task and self-motion errors of an ideal robot
+    python benchmarks/kinematic_loop.py limits --runs 1000  the largest use of every limit in random runs
+    python benchmarks/kinematic_loop.py peers               steps and joints after each round, in one run
+
+Results are printed and written as JSON (--out). The peers' environments come from `benchmarks/peers.py setup`.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+from peers import PEERS, WORKERS, installed
+from setting import Setting
+
+from eos_pin import Damp, JointLimits, KinematicLoop, Posture, SingularError, Track, load_robot
+from eos_pin.experiments.defaults import fitting_path, make_task, rest_posture
+
+ROBOTS = ("ur5", "xarm7", "kinova")
+#: Time after which an error at the start has decayed to rounding with the usual gains [s].
+SETTLED = 4.0
+
+
+def tracking() -> dict[str, Any]:
+    """Largest errors after the start has decayed, for two periods, in two rounds."""
+    found = {}
+    for name in ROBOTS:
+        robot = load_robot(name, chain_to="auto")
+        for kind in ("position", "pose"):
+            task = make_task(robot, kind)
+            q = rest_posture(task)
+            path = fitting_path(task, q, period=6.0)
+            for h in (0.002, 0.008):
+                loop, errors, moved = KinematicLoop(task, path, control_period=h), [0.0], [0.0]
+                joints = q
+                for k in range(round(12.0 / h)):
+                    joints = loop.step(k * h, joints).q
+                    if k * h > SETTLED:
+                        errors.append(float(np.abs(task.minus(path((k + 1) * h).z, task.value(joints))).max()))
+                        assert loop.chart is not None
+                        moved.append(float(np.abs(loop.chart.v(joints)).max(initial=0.0)))
+                found[f"{name} {kind} {h}"] = {"task": max(errors), "v": max(moved)}
+    return found
+
+
+def limits(runs: int) -> dict[str, Any]:
+    """Largest overshoot of a position limit, and ratios to those of velocity and acceleration."""
+    robots = {name: load_robot(name, chain_to="auto") for name in ROBOTS}
+    worst, held, singular = np.zeros(3), 0, 0
+    for seed in range(runs):
+        random = np.random.default_rng(seed)
+        robot = robots[ROBOTS[seed % len(ROBOTS)]]
+        task = make_task(robot, ("position", "pose")[seed // len(ROBOTS) % 2])
+        lower, upper = np.maximum(robot.lower, -3.0), np.minimum(robot.upper, 3.0)
+        path = fitting_path(task, rest_posture(task), period=float(random.uniform(0.5, 6.0)))
+        law = (Track(), Posture(random.uniform(lower, upper)), Damp())[random.integers(3)]
+        kept = JointLimits.without_torques(robot, acceleration=random.uniform(1.0, 20.0, robot.n))
+        h = float(random.choice([0.002, 0.004, 0.008]))
+        loop = KinematicLoop(task, path, law, control_period=h, limits=kept)
+        q, dq = random.uniform(lower, upper), np.zeros(robot.n)
+        try:
+            for k in range(300):
+                command = loop.step(k * h, q)
+                held += loop.limited
+                use = (
+                    max((command.q - kept.upper).max(), (kept.lower - command.q).max()),
+                    (np.abs(command.dq) / kept.velocity).max(),
+                    (np.abs(command.dq - dq) / h / kept.acceleration).max(),
+                )
+                worst, (q, dq) = np.maximum(worst, use), command
+        except SingularError:
+            singular += 1
+    names = ("position_overshoot", "velocity_ratio", "acceleration_ratio")
+    return {"runs": runs, "limited_steps": held, "singular_starts": singular} | dict(
+        zip(names, worst.tolist(), strict=True)
+    )
+
+
+def peers(rounds: int = 3, period: float = 0.002) -> dict[str, Any]:
+    """Medians of steps, and drift of the joints in each round, on one path within the same limits."""
+    found: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ROBOTS:
+            setting = Setting.make(name, False, Path(folder))
+            robot, task, q = setting.robot, setting.task, setting.posture
+            path = fitting_path(task, q, period=4.0)
+            kept = JointLimits.without_torques(robot)
+            count = round(path.period / period)
+            loop = KinematicLoop(task, path, Track(), control_period=period, limits=kept)
+            joints, times, ends = q, [], []
+            for k in range(rounds * count):
+                start = time.process_time_ns()
+                joints = loop.step(k * period, joints).q
+                times.append((time.process_time_ns() - start) / 1e3)
+                if (k + 1) % count == 0:
+                    ends.append(joints.tolist())
+            found[f"{name} eos_pin"] = _told(float(np.median(times)), ends)
+            pose = np.array(setting.placement(q))
+            placements = []
+            for k in range(count):
+                pose[:3, 3] = path((k + 1) * period).z
+                placements.append(pose.tolist())
+            problem = setting.problem()
+            given = {
+                "urdf": str(setting.urdf), "frame": setting.frame, "whole": False, "q": q.tolist(), "period": period,
+                "joints": problem["joints"], "velocity": kept.velocity.tolist(),
+                "acceleration": kept.acceleration.tolist(), "placements": placements, "rounds": rounds,
+            }  # fmt: skip
+            for key in ("pink", "mink", "placo"):
+                found[f"{name} {key}"] = _peer(key, given)
+    return found
+
+
+def _peer(key: str, given: dict[str, Any]) -> dict[str, Any]:
+    if isinstance(why := installed(PEERS[key]), str):
+        return {"trouble": why}
+    done = subprocess.run(
+        [str(PEERS[key].python), str(WORKERS / "rounds.py"), key],
+        input=json.dumps(given), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if done.returncode:
+        return {"trouble": done.stderr.strip().splitlines()[-1]}
+    said = json.loads(done.stdout)
+    return _told(said["median"], said["joints"])
+
+
+def _told(median: float, ends: list[list[float]]) -> dict[str, Any]:
+    drift = np.abs(np.diff(ends, axis=0)).max(axis=1)
+    return {"step_us": median, "drift_per_round": drift.tolist()}
+
+
+def main(
+    what: tyro.conf.Positional[Literal["tracking", "limits", "peers"]], runs: int = 100, out: Path | None = None
+) -> None:
+    """Measure one thing.
+
+    Args:
+        what: What to measure.
+        runs: Number of random runs.
+        out: File for the results.
+    """
+    found = limits(runs) if what == "limits" else {"tracking": tracking, "peers": peers}[what]()
+    for name, value in found.items():
+        print(name, value)
+    if out is not None:
+        out.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
