@@ -80,11 +80,14 @@ from .simulation import simulate_extended as simulate_extended
 from .simulation import simulate_sampled as simulate_sampled
 from .tasks import AxisTask as AxisTask
 from .tasks import ComTask as ComTask
+from .tasks import DistanceTask as DistanceTask
 from .tasks import HeadingTask as HeadingTask
+from .tasks import JointTask as JointTask
 from .tasks import OrientationTask as OrientationTask
 from .tasks import PointAxisTask as PointAxisTask
 from .tasks import PoseTask as PoseTask
 from .tasks import PositionTask as PositionTask
+from .tasks import RelativePoseTask as RelativePoseTask
 from .tasks import RelativePositionTask as RelativePositionTask
 from .tasks import StackedTask as StackedTask
 from .tasks import Task as Task

@@ -170,11 +170,15 @@ def every_task(robot):
             "relative xyz": eos_pin.RelativePositionTask(robot, end, middle),
             "orientation": eos_pin.OrientationTask(robot, end),
             "com xyz": eos_pin.ComTask(robot),
+            "distance": eos_pin.DistanceTask(robot, end, (0.4, -1.3, 0.7)),
+            "joints": eos_pin.JointTask(robot, [{robot.joints[0].name: 1.0, robot.joints[-1].name: -0.5}]),
             "axis": eos_pin.AxisTask(robot, end, "-x"),
         }
         stacked = {"orientation+z": ["orientation", "position z"]}
         if robot.n >= 6:
             tasks["pose"] = eos_pin.PoseTask(robot, end)
+            base = robot.model.frames[1].name
+            tasks["relative pose"] = eos_pin.RelativePoseTask(robot, end, base)
             tasks["point axis"] = eos_pin.PointAxisTask(robot, end, (1.0, 2.0, -0.5))
         if robot.n > 6:
             stacked["position+com"] = ["position xyz", "com xyz"]

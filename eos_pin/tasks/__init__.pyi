@@ -2,11 +2,14 @@ from .axis import AxisTask as AxisTask
 from .axis import PointAxisTask as PointAxisTask
 from .base import Task as Task
 from .base import TaskPoint as TaskPoint
+from .joints import JointTask as JointTask
 from .orientation import HeadingTask as HeadingTask
 from .orientation import OrientationTask as OrientationTask
 from .orientation import PoseTask as PoseTask
 from .position import ComTask as ComTask
 from .position import PositionTask as PositionTask
 from .position import RelativePositionTask as RelativePositionTask
+from .relations import DistanceTask as DistanceTask
+from .relations import RelativePoseTask as RelativePoseTask
 from .stacked import StackedTask as StackedTask
 from .stacked import task_from_description as task_from_description

@@ -20,6 +20,7 @@ from eos_pin.tasks.axis import AxisTask
 from eos_pin.tasks.base import PointLike, Task
 from eos_pin.tasks.extent import check_reach
 from eos_pin.tasks.orientation import HeadingTask, OrientationTask, PoseTask
+from eos_pin.tasks.relations import RelativePoseTask
 from eos_pin.tasks.stacked import StackedTask
 from eos_pin.trajectories.base import Hold, Target, Trajectory
 from eos_pin.trajectories.harmonic import Harmonic, circle, figure_eight, line
@@ -143,7 +144,7 @@ def channels(task: Task) -> list[tuple[slice, Kind]]:
             found += [(slice(s.start + first, s.stop + first), kind) for s, kind in channels(part)]
             first += part.size
         return found
-    if isinstance(task, PoseTask):
+    if isinstance(task, (PoseTask, RelativePoseTask)):
         return [(slice(0, 3), "number"), (slice(3, 12), "rotation")]
     kinds: dict[type[Task], Kind] = {OrientationTask: "rotation", HeadingTask: "angle", AxisTask: "direction"}
     return [(slice(0, task.size), next((kinds[c] for c in kinds if isinstance(task, c)), "number"))]
