@@ -46,6 +46,8 @@ RATE = 100.0
 #: Position limits are kept this distance off, times the period squared: 1e-5 rad at 1 kHz. It covers what the motion
 #: over a period differs from its prediction, which falls with the square of the period, too [rad/s² or m/s²].
 ROOM = 10.0
+#: The same for velocity limits, as a part of them: 0.2 % at 1 kHz; and the most of it [1/s²].
+SPEED_ROOM, MOST_SPEED_ROOM = 2000.0, 0.05
 #: A limit counts as passed beyond this: of position [rad or m], and of velocity, as a part of it.
 POSITION, VELOCITY = 1e-5, 1e-3
 #: A torque counts as used up from this part of its limit on; and time before a limit is passed that tells why [s].
@@ -216,11 +218,12 @@ class JointLimits:
 def _viability(limits: JointLimits, period: float) -> Viability:
     """`JointLimits.accelerations` for one period."""
     rate = min(RATE, 0.5 / period)
+    part = 1.0 - min(SPEED_ROOM * period**2, MOST_SPEED_ROOM)
     # Towards the lower limit everything is mirrored.
     return Viability(
         rate,
         ends=np.concatenate((limits.upper, -limits.lower)) - ROOM * period**2,
-        fastest=rate * np.tile(limits.velocity, 2),
+        fastest=rate * part * np.tile(limits.velocity, 2),
         braking=np.tile(limits.braking, 2),
         acceleration=np.tile(limits.acceleration, 2),
     )
