@@ -55,7 +55,7 @@ def hired(team: Crew, folder: Path, script: str) -> Worker:
 
 
 @pytest.mark.usefixtures("unchecked", "no_peers")
-def test_it_works_without_peers_and_says_who_is_missing(monkeypatch, tmp_path, capsys) -> None:
+def test_run_reports_missing_peers(monkeypatch, tmp_path, capsys) -> None:
     monkeypatch.setattr(run, "QUICK", TINY)
     monkeypatch.setattr(run, "DOCUMENT", tmp_path / "performance.md")
     assert run.benchmark(quick=True, json_file=tmp_path / "figures.json", write=True) == 0
@@ -151,7 +151,7 @@ def test_the_page_is_honest_about_who_is_faster() -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(kernels is None, reason="installed without a C compiler")
-def test_what_is_compiled_is_timed_beside_its_original(tmp_path: Path) -> None:
+def test_compiled_benchmark_times_both_forms(tmp_path: Path) -> None:
     assert compiled.benchmark(rounds=1, json_file=tmp_path / "compiled.json") == 0
     found = json.loads((tmp_path / "compiled.json").read_text())
     for name in REFERENCES:

@@ -127,7 +127,7 @@ def test_the_next_save_removes_what_a_killed_one_left_behind(tmp_path: Path) -> 
     assert set(tmp_path.iterdir()) == {path, young, *foreign}
 
 
-def test_where_nothing_can_be_written(tmp_path: Path) -> None:
+def test_writing_to_forbidden_place_raises(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="cannot write"):
         write_atomically(tmp_path / "file" / "inside", lambda file: file.write(b"new"))

@@ -173,7 +173,7 @@ def test_a_path_may_go_on_from_the_chart_of_another(position):
     np.testing.assert_allclose(rest.v, whole.v[11:], atol=1e-12)
 
 
-def test_without_redundancy_a_path_is_plain_inverse_kinematics(ur5):
+def test_atlas_follow_without_redundancy_is_inverse_kinematics(ur5):
     task = every_task(ur5)["pose"]
     q = np.array([0.3, -1.2, 1.4, -0.5, 0.9, 0.2])
     z = task.value(q)
@@ -187,7 +187,7 @@ def test_without_redundancy_a_path_is_plain_inverse_kinematics(ur5):
 # -- what cannot be done -----------------------------------------------------------------------------------------------
 
 
-def test_where_the_path_leaves_the_workspace_the_result_ends_and_says_so(position):
+def test_atlas_follow_ends_where_path_leaves_workspace(position):
     points = np.linspace(position.value(HOME), [1.5, 0.0, 0.3], 30)
     atlas = Atlas(position)
     path = atlas.follow(HOME, points)
@@ -200,7 +200,7 @@ def test_where_the_path_leaves_the_workspace_the_result_ends_and_says_so(positio
     assert len(path.q) == len(path.z) == len(path.v) == len(path.chart)
 
 
-def test_nothing_is_kept_where_not_even_the_first_point_is_reached(position):
+def test_atlas_follow_is_empty_when_first_point_is_out_of_reach(position):
     path = Atlas(position).follow(HOME, [[5.0, 0.0, 0.0]])
     assert path.q.shape == (0, 7)
     assert path.v.shape == (0, 4)
@@ -396,7 +396,7 @@ def test_a_jump_leaves_a_singular_start(ur5):
     np.testing.assert_array_equal(alone.q, start)
 
 
-def test_what_is_out_of_reach_is_said_to_be(position):
+def test_atlas_solve_reports_target_out_of_reach(position):
     """The joints that are returned are nearer than any of a thousand postures."""
     z = np.array([2.0, 0.0, 0.333])
     reached = Atlas(position).solve(HOME, z, tries=10)

@@ -337,7 +337,7 @@ def test_the_solution_on_the_chart_is_the_one_with_positive_determinant(ppr, tur
 # -- r = 0 -----------------------------------------------------------------------------------------------------------
 
 
-def test_without_redundancy_a_chart_is_plain_inverse_kinematics(ur5):
+def test_chart_without_redundancy_is_inverse_kinematics(ur5):
     task = every_task(ur5)["pose"]
     q_bar = np.array([0.3, -1.2, 1.4, -0.5, 0.9, 0.2])
     chart = Chart.from_base(task, q_bar)
@@ -529,7 +529,7 @@ def test_fade_changes_nothing_where_nothing_fades(size, seed):
 
 
 @given(size=st.integers(1, 8), seed=seeds, fraction=st.floats(0.0, 0.999), speed=st.floats(-30.0, 30.0))
-def test_what_fades_is_bounded_and_braked(size, seed, fraction, speed):
+def test_damped_system_is_bounded_and_brakes(size, seed, fraction, speed):
     """The last direction, with singular value s below its threshold ε: s/ε² of what is asked, 1 − s²/ε² of braking."""
     random = np.random.default_rng(seed)
     X, Y = (np.linalg.qr(random.normal(size=(size, size)))[0] for _ in range(2))

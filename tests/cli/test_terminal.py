@@ -26,7 +26,7 @@ ARM = (
 )
 
 
-def test_what_an_encoding_has_stays():
+def test_shown_keeps_characters_of_the_encoding():
     for text, encoding in (("Räuber ²", "cp1252"), ("关节 → ─", "utf-8"), ("plain", "ascii"), ("关节", "utf-16")):
         assert shown(text, encoding) == text
 
@@ -41,7 +41,7 @@ def test_what_an_encoding_has_stays():
         ("😀", "\\U0001f600"),
     ],
 )
-def test_what_ascii_lacks_is_spelled(text, wanted):
+def test_shown_spells_characters_missing_in_ascii(text, wanted):
     assert shown(text, "ascii") == spell(text) == wanted
     assert wanted.isascii()
 

@@ -140,7 +140,7 @@ def test_every_variant_runs_on_every_kind_of_task(panda, unchecked):
 
 
 @pytest.mark.parametrize("kind", ["xyz", "pose"])
-def test_who_repeats_and_from_which_cycle_on(panda, unchecked, kind):
+def test_controllers_repeat_from_which_cycle_on(panda, unchecked, kind):
     """The facts that the comparison of the package rests on; each cycle takes two seconds."""
     task = PoseTask(panda, tip(panda)) if kind == "pose" else PositionTask(panda, tip(panda))
     z = task.value(REST)

@@ -179,7 +179,7 @@ def test_track_shared_by_two_tasks_goes_on_for_both(panda: Robot, task: Position
         ("robot", None, "loop.controller = "),
     ],
 )
-def test_what_does_not_fit_is_refused_and_the_old_value_stays(
+def test_controller_refuses_bad_assignment_and_keeps_old_value(
     task: PositionTask, name: str, value: object, told: str
 ) -> None:
     controller = EosController(task, Hold(task.value(REST)))

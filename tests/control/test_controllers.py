@@ -186,7 +186,7 @@ def test_reference_and_atlas_must_fit_the_task(panda):
         EosController(task, Hold(np.zeros(3)), atlas=Atlas(pose))
 
 
-def test_without_gravity_compensation(panda):
+def test_controller_without_gravity_compensation(panda):
     task = PositionTask(panda, tip(panda))
     q, dq = random_state(panda, seed=7)
     reference = task.hold(q)
@@ -195,7 +195,7 @@ def test_without_gravity_compensation(panda):
     np.testing.assert_allclose(difference, panda.gravity(q), atol=1e-12)
 
 
-def test_without_feedforward(panda):
+def test_controller_without_feedforward(panda):
     task = PositionTask(panda, tip(panda))
     q, dq = random_state(panda, seed=7)
     reference = figure_eight(task.value(q), 0.2)

@@ -60,7 +60,7 @@ def over(robot: Robot, q: np.ndarray) -> float:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_without_active_limits_the_torque_is_that_of_plain_eos(panda, task, limits, seed):
+def test_limited_controller_equals_eos_without_active_limits(panda, task, limits, seed):
     random = np.random.default_rng(seed)
     path = figure_eight(task.value(REST), 0.1, period=4.0, plane="yz")
     plain, limited = EosController(task, path), LimitedEosController(task, path, limits=limits)

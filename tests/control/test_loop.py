@@ -100,7 +100,7 @@ def test_bad_settings_are_refused(panda: Robot) -> None:
         ControlLoop(controller, jump=0.0)
 
 
-def test_what_a_target_out_of_reach_costs_is_told(panda: Robot) -> None:
+def test_control_loop_reports_deficit_out_of_reach(panda: Robot) -> None:
     task = PositionTask(panda, "panda_hand_tcp")
     far = ControlLoop(EosController(task, Hold(task.value(REST) + np.array([2.0, 0.0, 0.0]))))
     assert far.task_deficit(0.0, REST, STILL) is None

@@ -144,7 +144,7 @@ class Wrong(Objective):
         (Wrong(), "what Wrong asks of the self-motion must be 4 numbers"),
     ],
 )
-def test_what_does_not_fit_is_refused_at_the_start(panda, unchecked, objective, message):
+def test_objective_is_checked_at_start(panda, unchecked, objective, message):
     q, _ = random_state(panda, seed=2)
     task = PositionTask(panda, tip(panda))
     controller = EosController(task, Hold(task.value(q)), objective)

@@ -69,7 +69,7 @@ def test_reach_bounds_how_far_the_tip_gets() -> None:
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_what_does_not_fit_is_said() -> None:
+def test_fitting_path_refuses_shapes_that_do_not_fit() -> None:
     task = make_task(load_robot("panda", chain_to="auto"), "orientation")
     q = rest_posture(task)
     with pytest.raises(InputError, match="hold"):
@@ -101,7 +101,7 @@ def test_axes_are_as_many_as_the_joints_move_independently(name: str, frame: str
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_what_cannot_be_moved_is_said() -> None:
+def test_make_task_refuses_directions_that_cannot_move() -> None:
     with pytest.raises(InputError, match="stays where it is"):
         make_task(load_robot("iris", chain_to="iris__rotor_0"))
     leg = load_robot("talos_full_v2", chain_to="gripper_left_base_link")

@@ -42,7 +42,7 @@ def test_a_posture_is_turned_to_where_the_joints_can_hold_it(panda):
     assert ((q >= robot.lower) & (q <= robot.upper)).all()
 
 
-def test_where_no_posture_can_be_held_torque_is_left_out_of_account(panda):
+def test_strength_ignores_torque_where_no_posture_can_be_held(panda):
     robot = weakened(panda, 1e-3)
     task, strong = make_task(robot), make_task(panda)
     q = rest_posture(task)

@@ -76,7 +76,7 @@ def vectors(seed, count=STATES):
     return [(random, int(random.integers(1, 13))) for _ in range(count)]
 
 
-def test_where_there_is_a_compiler_there_are_compiled_kernels():
+def test_kernels_are_compiled_with_a_compiler():
     assert loop, _systems  # they choose kernels, and have been imported
     assert kernels is not None
     assert set(REFERENCES) == set(COMPILED["law"] + COMPILED["parts"])

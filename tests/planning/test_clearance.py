@@ -170,7 +170,7 @@ def test_bodies_are_links_that_move_unless_others_are_named(panda):
     assert not base.gradient.any()
 
 
-def test_what_cannot_be_measured_is_refused(panda):
+def test_clearance_refuses_shapes_and_bodies_it_cannot_measure(panda):
     ball = Obstacle(coal.Sphere(0.1), [0.0, 0.3, 0.1])
     with pytest.raises(InputError, match="at least one obstacle"):
         Clearance(panda, [])
@@ -227,7 +227,7 @@ def far_away(robot):
     return Clearance(robot, [Obstacle(coal.Sphere(0.1), [0.0, 0.0, 9.0])])
 
 
-def test_nothing_moves_where_nothing_is_near(panda, hand):
+def test_avoidance_step_is_zero_far_from_obstacles(panda, hand):
     still = Avoidance(far_away(panda), posture=READY).step(0.0, READY, Chart.from_base(hand, READY))
     np.testing.assert_array_equal(still, np.zeros(4))
 

@@ -60,7 +60,7 @@ def test_misbehaviour_is_noticed(misbehave, result, monkeypatch) -> None:
     assert attempt(Row("ppr", "tip", 3, "position"), PATHS["ppr"], 1.0, 0.05).result == result
 
 
-def test_what_is_said_on_the_terminal_is_noticed(monkeypatch) -> None:
+def test_attempt_records_terminal_output(monkeypatch) -> None:
     monkeypatch.setattr(every_robot, "_ran", lambda row, duration: (os.write(2, b"Warning: link"), row)[1])
     assert attempt(Row("ppr", "tip", 3, "position"), PATHS["ppr"], 1.0, 5.0).said == "Warning: link"
 

@@ -57,7 +57,7 @@ def test_misbehaviour_is_noticed(misbehave, kind, monkeypatch, tmp_path) -> None
     assert (outcome.kind, outcome.good) == (kind, False)
 
 
-def test_what_is_captured_does_not_reach_the_terminal(capfd) -> None:
+def test_captured_output_does_not_reach_terminal(capfd) -> None:
     with captured() as said:
         os.write(1, b"out")
         os.write(2, b"err")

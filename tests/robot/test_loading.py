@@ -567,7 +567,7 @@ ODD = {
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
 @pytest.mark.parametrize(("before", "inside", "note"), ODD.values(), ids=ODD)
-def test_what_other_parsers_read_is_read_with_a_note(before, inside, note, encoding, urdf, capfd):
+def test_load_robot_reads_urdf_of_lenient_parsers_with_a_note(before, inside, note, encoding, urdf, capfd):
     more = f'<link name="c">{INERTIAL}</link>' if 'child link="c"' in inside else ""
     text = before + arm(joint() + inside, links=f'<link name="a"/><link name="b">{INERTIAL}</link>{more}')
     for source in (urdf(text.encode(encoding)), text, text.encode(encoding)):
@@ -593,7 +593,7 @@ def test_lines_are_counted_as_in_the_file_where_it_is_not_quite_xml(urdf):
             load_robot(source)
 
 
-def test_what_is_refused_is_named_with_its_joint_or_link(urdf):
+def test_load_robot_error_names_joint_or_link(urdf):
     wrong = {
         "xyz=\"0 1\" of <origin> is not 3 finite numbers, in joint 'j'": arm(
             joint(inner=LIMIT + '<origin xyz="0 1"/>')
@@ -651,7 +651,7 @@ def test_text_that_is_no_urdf_is_refused(source, message):
 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("source", [pin.Model(), None, 7])
-def test_what_is_no_source_is_refused(source):
+def test_load_robot_refuses_other_sources(source):
     with pytest.raises(InputError, match=r"given by name, path or text .* Robot\.from_pinocchio\(model\)"):
         load_robot(source)
 

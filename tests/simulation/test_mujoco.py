@@ -145,7 +145,7 @@ def control(robot, task_kind):
 
 
 @pytest.mark.parametrize("kind", ["position", "pose"])
-def test_in_closed_loop_the_joints_agree(panda, kind):
+def test_mujoco_plant_agrees_in_closed_loop(panda, kind):
     controller, options = control(panda, kind), {"duration": 10.0, "record_rate": 20.0}
     ours = simulate_sampled(panda, controller, REST, **options)
     fine = simulate_sampled(MujocoPlant.from_robot(panda), controller, REST, **options)
@@ -224,7 +224,7 @@ def test_a_run_away_ends_with_a_status_and_leaves_no_file(panda, tau, status, tm
     assert capfd.readouterr() == ("", "")
 
 
-def test_what_cannot_be_is_refused(panda, monkeypatch):
+def test_mujoco_plant_refuses_unknown_integrator_and_joints(panda, monkeypatch):
     with pytest.raises(InputError, match="RK4, Euler, implicit, implicitfast; got 'RK5'"):
         MujocoPlant.from_robot(panda, integrator="RK5")
     model = pin.Model()

@@ -213,7 +213,7 @@ def test_drift_is_measured_at_exact_multiples_of_the_period():
     assert run.t[run.settled_row] == period
 
 
-def test_without_cycles_the_second_half_counts():
+def test_summary_without_cycles_uses_second_half():
     t = np.linspace(0.0, 4.0, 41)
     run = artificial(t, t, kinetic_energy=t)
     assert (run.cycles, run.joint_drift_per_cycle.size) == (0, 0)
@@ -318,7 +318,7 @@ def test_foreign_files_are_refused_and_never_unpickled(runs, tmp_path, kind):
         Result.load(path)
 
 
-def test_what_the_foreign_files_were_made_from_is_fine(runs, tmp_path):
+def test_result_load_reads_the_unchanged_file(runs, tmp_path):
     (tmp_path / "run.npz").write_bytes(changed(runs["open loop"]))
     assert Result.load(tmp_path / "run.npz").ok
 

@@ -247,7 +247,7 @@ def test_the_points_of_a_task_are_points(task):
         ("orientation+z", np.zeros(10)),
     ],
 )
-def test_what_is_no_point_is_refused(panda, kind, value, unchecked):
+def test_task_point_refuses_other_values(panda, kind, value, unchecked):
     with pytest.raises(InputError, match="a point of"):
         every_task(panda)[kind].point(value)
 

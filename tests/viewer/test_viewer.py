@@ -377,7 +377,7 @@ elif sys.argv[1] == "fails":
 
 
 @pytest.mark.parametrize("end", ["returns", "fails", "runs"])
-def test_nothing_is_left_behind(end: str) -> None:
+def test_server_leaves_no_process_behind(end: str) -> None:
     command = [sys.executable, "-c", SCRIPT, end]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
