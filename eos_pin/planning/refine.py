@@ -23,6 +23,8 @@ ROUNDS = (0.3, 0.05, 0.01, 1e-3, 1e-4)
 NEAR = 0.06
 #: Most steps in a round, and the relative gain that ends it.
 STEPS, GAIN = 25, 1e-4
+#: And the gain that ends the last round: joints are off by about the square root of the gain that is left out.
+LAST = 1e-7
 #: Longest self-motion in one step [rad].
 LONGEST = 0.4
 #: Step of finite differences along the manifold [rad].
@@ -101,7 +103,8 @@ def refine(
     best, least = q, course.cost(q)
     mean = least / len(q)
     for weight in rounds:
-        q = descended(course, Barrier(course, max(weight * mean, 1e-12)), q, steps, tick)
+        gain = LAST if weight == ROUNDS[-1] else GAIN
+        q = descended(course, Barrier(course, max(weight * mean, 1e-12)), q, steps, tick, gain=gain)
         cost = course.cost(q)
         if cost < least:
             best, least = q, cost
@@ -115,6 +118,7 @@ def descended(
     steps: int = STEPS,
     tick: Callable[[], None] = lambda: None,
     enough: Callable[[Array], bool] = lambda q: False,
+    gain: float = GAIN,
 ) -> Array:
     """Joints of less value near q, by Newton's method with Levenberg's damping.
 
@@ -125,6 +129,7 @@ def descended(
         steps: Most steps.
         tick: Called at each step.
         enough: Whether joints are good enough to end with.
+        gain: Relative gain below which it ends.
     """
     value, damping = barrier.value(q), 1e-3
     for _ in range(steps):
@@ -141,7 +146,7 @@ def descended(
             if length:
                 q, value = q_new, value_new
                 break
-        if before - value < GAIN * abs(before) or enough(q):
+        if before - value < gain * abs(before) or enough(q):
             break
     return q
 
