@@ -87,7 +87,7 @@ def test_wrong_answers_and_errors_are_reported_not_timed(team, tmp_path) -> None
     ("script", "reason"),
     [("raise SystemExit('no such library')", "no such library"), ("", "without a word")],
 )
-def test_a_worker_that_dies_is_sent_home(script, reason, tmp_path) -> None:
+def test_worker_that_dies_is_sent_home(script, reason, tmp_path) -> None:
     team = Crew()
     worker = hired(team, tmp_path, script)
     team.take({})
@@ -95,7 +95,7 @@ def test_a_worker_that_dies_is_sent_home(script, reason, tmp_path) -> None:
     assert reason in team.missing[worker.name]
 
 
-def test_a_worker_that_does_not_answer_is_stopped(monkeypatch, tmp_path) -> None:
+def test_worker_that_does_not_answer_is_stopped(monkeypatch, tmp_path) -> None:
     monkeypatch.setattr("crew.PATIENCE", 0.2)
     worker = hired(Crew(), tmp_path, "import sys\nfor line in sys.stdin: pass")
     with pytest.raises(WorkerError, match="no answer after"):
@@ -103,7 +103,7 @@ def test_a_worker_that_does_not_answer_is_stopped(monkeypatch, tmp_path) -> None
 
 
 @pytest.mark.usefixtures("no_peers")
-def test_a_peer_that_does_not_install_is_reported(monkeypatch) -> None:
+def test_peer_that_does_not_install_is_reported(monkeypatch) -> None:
     peer = peers.PEERS["pink"]
 
     def fail(command: list[str], seconds: float) -> str:
@@ -130,7 +130,7 @@ def test_answers_are_judged(tmp_path) -> None:
         assert (setting.off(turned, target) > RIGHT) == setting.whole
 
 
-def test_the_page_that_is_kept_has_every_peer() -> None:
+def test_page_that_is_kept_has_every_peer() -> None:
     text = run.DOCUMENT.read_text(encoding="utf-8")
     assert [peer.name for peer in peers.PEERS.values() if f"| {peer.name} |" not in text] == []
 
@@ -141,7 +141,7 @@ def test_each_peer_has_a_worker() -> None:
     assert scripts == own | {peer.worker.name for peer in peers.PEERS.values()}
 
 
-def test_the_page_is_honest_about_who_is_faster() -> None:
+def test_page_is_honest_about_who_is_faster() -> None:
     columns = ("library", "computes", "median, µs", "middle half", "× eos_pin")
     rows = [("eos_pin", "torque", 10.0, "", 1.0), ("TSID", "torque", 5.0, "", 0.5), ("Pink", "velocity", 50.0, "", 5.0)]
     text = page({}, [Section("Control step, pose", columns, rows)], [], {})

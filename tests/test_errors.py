@@ -35,7 +35,7 @@ def test_one_except_catches_all(kind):
 
 
 @pytest.mark.parametrize("error", EXAMPLES, ids=lambda error: type(error).__name__)
-def test_an_error_survives_pickle_and_copy(error):
+def test_error_survives_pickle_and_copy(error):
     for use_compiled in (pickle.loads(pickle.dumps(error)), copy.copy(error)):
         assert type(use_compiled) is type(error)
         assert str(use_compiled) == str(error)
@@ -55,7 +55,7 @@ def test_missing_dependency_error_has_the_command_that_helps():
     assert (error.package, error.command) == ("cinema", "pip install cinema")
 
 
-def test_an_unknown_name_is_told_as_a_sentence_with_near_matches():
+def test_unknown_name_is_told_as_a_sentence_with_near_matches():
     error = UnknownNameError("frame", "panda_hand_tpc", ["panda_hand_tcp", "base"], "Or choose another.")
     assert str(error) == "no frame is named 'panda_hand_tpc'. Did you mean panda_hand_tcp? Or choose another."
     assert (error.kind, error.name) == ("frame", "panda_hand_tpc")

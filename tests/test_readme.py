@@ -51,6 +51,6 @@ def test_ci_runs_the_test_command_of_the_readme() -> None:
     assert re.match(pattern[1], command)
 
 
-def test_the_version_is_one() -> None:
+def test_version_is_one() -> None:
     assert f'version = "{eos_pin.__version__}"' in (ROOT / "pyproject.toml").read_text()
     assert f"version: {eos_pin.__version__}" in (ROOT / "CITATION.cff").read_text()

@@ -27,7 +27,7 @@ def test_importing_the_package_imports_nothing_else():
     assert loaded("import eos_pin") == set()
 
 
-def test_a_control_loop_needs_no_more_than_the_dynamics():
+def test_control_loop_needs_no_more_than_the_dynamics():
     code = """
 import numpy as np
 from eos_pin import ControlLoop, EosController, Hold, PositionTask, load_robot

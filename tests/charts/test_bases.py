@@ -59,7 +59,7 @@ def check(basis, J):
 
 @forms
 @given(m=st.integers(1, 6), r=st.integers(1, 60), seed=seeds)
-def test_a_basis_and_its_products(dense, m, r, seed):
+def test_basis_and_its_products(dense, m, r, seed):
     J = np.random.default_rng(seed).normal(size=(m, m + r))
     check(first(J, dense), J)
 
@@ -94,7 +94,7 @@ def test_carrying_is_orthogonal_procrustes(dense, m, r, seed, size):
 
 
 @forms
-def test_a_null_space_at_a_right_angle_has_a_basis_too(dense):
+def test_null_space_at_a_right_angle_has_a_basis_too(dense):
     """Where Procrustes has many solutions, as beyond the edge of a chart."""
     J, other = np.eye(60)[:2], np.eye(60)[[1, 7]]
     check(bases.carried(first(J, dense), rows(J), rows(other)), other)
@@ -112,7 +112,7 @@ def test_rounding_errors_do_not_collect(dense):
     check(basis, J)
 
 
-def test_a_motion_that_repeats_needs_no_more_columns():
+def test_motion_that_repeats_needs_no_more_columns():
     """A basis is written out only where its columns have become too many."""
     random = np.random.default_rng(5)
     parts = random.normal(size=(3, 2, 200))

@@ -55,7 +55,7 @@ def room(chart):
 
 @every
 @given(data=st.data())
-def test_a_chart_is_what_equation_10_says(task, data):
+def test_chart_is_what_equation_10_says(task, data):
     chart = Chart.from_base(task, regular(data, task))
     n, m = task.robot.n, task.m
     z, J = task.linearize(chart.q_bar)
@@ -181,7 +181,7 @@ def test_b_by_iteration_is_b_by_solve(task, data):
 
 
 @pytest.mark.parametrize("factor", [-1.0, 2.5, 1e9])
-def test_an_iteration_for_b_that_diverges_is_an_error(panda, factor):
+def test_iteration_for_b_that_diverges_is_an_error(panda, factor):
     chart = Chart.from_base(every_task(panda)["pose"], checks.random_state(panda)[0])
     with pytest.raises(ChartError, match="diverges"):
         chart.B(chart.U.T, factor * chart.B_bar)
@@ -231,7 +231,7 @@ def test_constant_and_refreshed_b_find_the_same(task):
 
 
 @every
-def test_a_warm_start_needs_few_steps(task):
+def test_warm_start_needs_few_steps(task):
     chart = Chart.from_base(task, _regular_state(task))
     direction = np.random.default_rng(2).normal(size=chart.n)
     known = None
@@ -245,7 +245,7 @@ def test_a_warm_start_needs_few_steps(task):
 @pytest.mark.parametrize(
     ("name", "size"), [("position xyz", 0.15), ("pose", 0.15), ("orientation", 0.5), ("com xyz", 0.05)]
 )
-def test_a_long_step_finds_the_connected_solution(panda, name, size):
+def test_long_step_finds_the_connected_solution(panda, name, size):
     """What one call finds is what fifty small steps along the straight line in (z, v) lead to; none is missed."""
     task, random = every_task(panda)[name], np.random.default_rng(7)
     found = 0
@@ -286,7 +286,7 @@ def test_walking_reaches_what_newton_alone_does_not(panda):
 
 
 @pytest.mark.parametrize("refresh", [True, False])
-def test_a_point_out_of_reach_is_an_error_with_its_data(panda, refresh):
+def test_point_out_of_reach_is_an_error_with_its_data(panda, refresh):
     task = every_task(panda)["position xyz"]
     chart = Chart.from_base(task, HOME)
     with pytest.raises(InverseError, match="out of reach") as caught:
@@ -304,7 +304,7 @@ def test_chart_inverse_refuses_a_point_that_is_not_finite(panda):
         chart.inverse(chart.z_bar, np.full(4, np.nan))
 
 
-def test_a_solution_beyond_the_edge_is_not_taken(ur5):
+def test_solution_beyond_the_edge_is_not_taken(ur5):
     """Newton's method may jump to joints where det G'U < 0; they have the (z, v) asked for, but on another sheet."""
     task, found = every_task(ur5)["position xyz"], 0
     for seed in range(60):
@@ -320,7 +320,7 @@ def test_a_solution_beyond_the_edge_is_not_taken(ur5):
 
 
 @given(turn=st.floats(-6.0, 6.0))
-def test_the_solution_on_the_chart_is_the_one_with_positive_determinant(ppr, turn):
+def test_solution_on_the_chart_is_the_one_with_positive_determinant(ppr, turn):
     """(z, v) fix y3 + sin y3 of this robot, so beyond y3 = π its solution is off the chart of y3 = 0."""
     task = every_task(ppr)["position xy"]
     chart = Chart.from_base(task, np.zeros(3))
@@ -392,7 +392,7 @@ def test_margin_of_the_ppr_robot(ppr, base, turn):
     assert np.linalg.cond(np.vstack((edge, chart.V.T))) > 1e14
 
 
-def test_the_edge_of_a_chart_and_a_singular_task_are_told_apart(chain):
+def test_edge_of_a_chart_and_a_singular_task_are_told_apart(chain):
     """On the edge the Jacobian has full rank, but a direction orthogonal to all rows of the base point's."""
     chart = Chart.from_base(every_task(chain)["position xy"], checks.random_state(chain)[0])
     J = np.array([chart.V[:, 0], chart.U[:, 1]])
@@ -415,7 +415,7 @@ def test_the_edge_of_a_chart_and_a_singular_task_are_told_apart(chain):
     ("name", "kind", "rank"),
     [("ur5", "pose", 5), ("ur5", "orientation", 2), ("panda", "pose", 5), ("chain", "relative xy", 1)],
 )
-def test_a_singular_task_has_no_chart(name, kind, rank):
+def test_singular_task_has_no_chart(name, kind, rank):
     """Arms stretched out: the wrist axes of ur5 and panda align at q = 0, and the chain is a straight line."""
     robot = checks.robot(name)
     task, zero = every_task(robot)[kind], np.zeros(robot.n)
@@ -431,7 +431,7 @@ def test_a_singular_task_has_no_chart(name, kind, rank):
             ask(J)
 
 
-def test_a_base_point_is_a_configuration(panda):
+def test_base_point_is_a_configuration(panda):
     task = every_task(panda)["position xyz"]
     for wrong in (np.zeros(6), np.zeros((7, 1)), [0.0] * 6 + [np.nan]):
         with pytest.raises(InputError, match="base configuration q"):
@@ -464,7 +464,7 @@ def test_v_continues_and_its_directions_turn_the_least(task, data):
     assert jump <= (1.0 - np.cos(angle)) * np.linalg.norm(dv) + 100 * EXACT
 
 
-def test_a_chart_at_the_same_point_is_the_same(panda):
+def test_chart_at_the_same_point_is_the_same(panda):
     task = every_task(panda)["pose"]
     q = checks.random_state(panda)[0]
     old = Chart.from_base(task, q)
@@ -476,7 +476,7 @@ def test_a_chart_at_the_same_point_is_the_same(panda):
 # -- linear algebra --------------------------------------------------------------------------------------------------
 
 
-def test_the_null_space_of_the_ppr_robot_has_the_sign_of_the_paper(ppr):
+def test_null_space_of_the_ppr_robot_has_the_sign_of_the_paper(ppr):
     chart = Chart.from_base(every_task(ppr)["position xy"], np.zeros(3))
     np.testing.assert_allclose(chart.V, np.array([[0.0], [-1.0], [1.0]]) / np.sqrt(2.0), atol=EXACT)
 
@@ -551,7 +551,7 @@ def test_damped_system_is_bounded_and_brakes(size, seed, fraction, speed):
 
 
 @pytest.mark.parametrize("first", [1.0, 0.5, 0.01])
-def test_a_walk_visits_points_of_the_straight_line_and_ends_exactly_at_the_goal(panda, first):
+def test_walk_visits_points_of_the_straight_line_and_ends_exactly_at_the_goal(panda, first):
     task = every_task(panda)["pose"]
     z0, z1 = (task.value(checks.random_state(panda, seed)[0]) for seed in (1, 2))
     v0, v1 = np.zeros(1), np.ones(1)
@@ -569,7 +569,7 @@ def test_a_walk_visits_points_of_the_straight_line_and_ends_exactly_at_the_goal(
 
 
 @given(wall=st.floats(0.0, 0.999))
-def test_a_walk_says_how_far_it_came(panda, wall):
+def test_walk_says_how_far_it_came(panda, wall):
     task = every_task(panda)["position xyz"]
     z, v = np.zeros(3), np.zeros(4)
     reached = charts.walk(task, (z, v), (z + 1.0, v), lambda z, _: z[0] <= wall)

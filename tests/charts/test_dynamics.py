@@ -82,7 +82,7 @@ def test_equation_30_is_equation_26_solved(task, data):
 
 @every
 @given(data=st.data())
-def test_the_extended_accelerations_are_those_of_the_joints(task, data):
+def test_extended_accelerations_are_those_of_the_joints(task, data):
     """ddq = H ddw + E is what forward dynamics gives, and Mddq + bias is what drives it."""
     robot, (q, dq) = task.robot, state(data, task)
     chart = chart_near(data, task, q)
@@ -109,7 +109,7 @@ def test_kinetic_energy_is_the_same_in_both_coordinates(task, data):
     assert 0.5 * dw @ extended.mass @ dw == pytest.approx(energy, abs=tolerance)
 
 
-def test_the_mass_of_the_ppr_robot_in_closed_form(ppr):
+def test_mass_of_the_ppr_robot_in_closed_form(ppr):
     """At y3 = 0 on the chart based there, by hand: m11 of the paper's M is 3, and H is known."""
     task = every_task(ppr)["position xy"]
     extended = ExtendedDynamics.from_state(ppr, Chart.from_base(task, np.zeros(3)), np.zeros(3), np.zeros(3))
@@ -150,7 +150,7 @@ def test_task_space_dynamics(task, data):
 
 @every
 @given(data=st.data())
-def test_the_consistent_inverse_and_its_projector(task, data):
+def test_consistent_inverse_and_its_projector(task, data):
     """Eqs. (7), (8): torques in the range of Nᵀ do not accelerate the task, and Nᵀ is a projector."""
     robot, (q, dq) = task.robot, state(data, task)
     point = task.at(q, dq)
@@ -206,7 +206,7 @@ def test_task_space_dynamics_of_the_ppr_robot_in_closed_form(ppr, angle, speed):
     np.testing.assert_allclose(dynamics.p, p, atol=10 * tolerance)
 
 
-def test_a_singular_task_has_no_task_space_mass(panda):
+def test_singular_task_has_no_task_space_mass(panda):
     task, zero = every_task(panda)["pose"], np.zeros(7)
     dynamics = TaskSpaceDynamics(panda, zero, zero, task.at(zero, zero))
     with pytest.raises(SingularError) as caught:

@@ -97,7 +97,7 @@ def test_track_pushed_with_friction_and_missed_periods() -> None:
     assert max(rubbed, pushed) < 0.1
 
 
-def test_a_path_from_a_file_and_a_run_out_of_reach() -> None:
+def test_path_from_a_file_and_a_run_out_of_reach() -> None:
     Path("path.csv").write_text("t,x,y,z\n0,0.45,0,0.7\n2,0.45,0.2,0.6\n4,0.4,0,0.6\n")
     assert figures("track", "panda", "--path", "path.csv")["task_error_max"] < 1e-6
     Path("far.csv").write_text("0,0.45,0,0.7\n2,1,0,0.6\n")

@@ -114,7 +114,7 @@ def test_sweep_ends_and_keeps_what_is_finished(command, jobs: int, whole_group: 
 
 
 @pytest.mark.parametrize(("word", "whole_group"), [("track", True), ("compare", False)])
-def test_an_interrupted_run_leaves_no_file(command, word: str, whole_group: bool) -> None:
+def test_interrupted_run_leaves_no_file(command, word: str, whole_group: bool) -> None:
     begun = command(word, "ppr", "--size", "0.05", "--duration", LONG)
     begun.wait_until(lambda: begun.cpu_seconds > 2.5)
     code, said = begun.interrupt(whole_group)
@@ -124,7 +124,7 @@ def test_an_interrupted_run_leaves_no_file(command, word: str, whole_group: bool
     assert not list(Path().rglob("*.*"))
 
 
-def test_a_sweep_started_from_python_does_not_keep_an_interrupted_run(tmp_path: Path, unchecked) -> None:
+def test_sweep_started_from_python_does_not_keep_an_interrupted_run(tmp_path: Path, unchecked) -> None:
     class Interrupted(sweeps.Trial):
         def run(self, observer=None) -> eos_pin.Result:
             def stop(t: float, q: np.ndarray) -> None:
@@ -139,7 +139,7 @@ def test_a_sweep_started_from_python_does_not_keep_an_interrupted_run(tmp_path: 
     assert not list(tmp_path.iterdir())
 
 
-def test_a_whole_result_passes(ppr, unchecked) -> None:
+def test_whole_result_passes(ppr, unchecked) -> None:
     task = eos_pin.PositionTask(ppr, "tip", "xy")
     q = eos_pin.experiments.defaults.rest_posture(task)
     run = eos_pin.simulate(ppr, eos_pin.EosController(task, eos_pin.Hold(task.value(q))), q, duration=0.1)

@@ -112,7 +112,7 @@ def test_gravity_can_be_left_uncompensated(panda):
     np.testing.assert_allclose(difference, panda.gravity(q), atol=1e-10)
 
 
-def test_a_singular_task_is_refused(ur5):
+def test_singular_task_is_refused(ur5):
     task = PoseTask(ur5, tip(ur5))
     straight = np.zeros(6)
     controller = OperationalSpaceController(task, task.hold(straight))
@@ -122,7 +122,7 @@ def test_a_singular_task_is_refused(ur5):
         simulate(ur5, controller, straight, duration=0.1)
 
 
-def test_a_posture_must_fit_the_robot(panda):
+def test_posture_must_fit_the_robot(panda):
     task = PositionTask(panda, tip(panda))
     for posture in ([0.0], [0.0] * 6):
         controller = OperationalSpaceController(task, task.hold(REST), PostureNullSpace(posture))

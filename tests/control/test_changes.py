@@ -272,7 +272,7 @@ def test_another_task_starts_where_the_robot_is(task: PositionTask, panda: Robot
 
 
 @pytest.mark.usefixtures("build", "unchecked")
-def test_a_controller_that_cannot_take_over_is_refused_and_the_old_one_goes_on(panda: Robot, ur5: Robot) -> None:
+def test_controller_that_cannot_take_over_is_refused_and_the_old_one_goes_on(panda: Robot, ur5: Robot) -> None:
     task, stretched = PositionTask(panda, TIP), np.zeros(7)
     pose = PoseTask(panda, TIP)
     first = EosController(task, Hold(task.value(REST)))
@@ -292,7 +292,7 @@ def test_a_controller_that_cannot_take_over_is_refused_and_the_old_one_goes_on(p
     assert np.isfinite(singular.step(0.001, stretched, np.zeros(7))).all()
 
 
-def test_a_robot_with_another_number_of_joints_starts_a_run(panda: Robot, ur5: Robot) -> None:
+def test_robot_with_another_number_of_joints_starts_a_run(panda: Robot, ur5: Robot) -> None:
     task = PositionTask(panda, TIP)
     loop = loop_of(EosController(task, Hold(task.value(REST))))
     q = np.array([0.1, -1.0, 1.2, 0.3, 0.8, 0.2])
@@ -301,7 +301,7 @@ def test_a_robot_with_another_number_of_joints_starts_a_run(panda: Robot, ur5: R
     np.testing.assert_allclose(loop.step(0.0, q, np.zeros(6)), ur5.gravity(q), atol=1e-8)
 
 
-def test_the_memory_of_another_task_is_refused(panda: Robot) -> None:
+def test_memory_of_another_task_is_refused(panda: Robot) -> None:
     position, pose = PositionTask(panda, TIP), PoseTask(panda, TIP)
     state = EosController(pose, Hold(pose.value(REST), 6)).start(0.0, REST, np.zeros(7))
     controller = EosController(position, Hold(position.value(REST)))

@@ -102,7 +102,7 @@ def test_torque_is_the_long_form_of_the_paper(name, data):
 
 @pytest.mark.parametrize("name", EXAMPLES)
 @given(data=st.data())
-def test_an_exact_model_obeys(name, data):
+def test_exact_model_obeys(name, data):
     controller, state, point, t = draw_state(name, data.draw)
     F = asked_acceleration(controller, state, point, t)
     tau = controller.torque(t, point.q, point.dq, state)
@@ -130,7 +130,7 @@ def test_self_motion_that_moves_is_tracked_like_self_motion_that_rests(name):
         np.testing.assert_allclose(asked[0] - asked[1], 5.0 * dv + ddv, atol=1e-9)
 
 
-def test_a_law_of_ones_own_is_used(panda):
+def test_law_of_ones_own_is_used(panda):
     """A subclass that changes the task's law, and self-motion that is not tracked, have no ready product."""
 
     class Lazy(EosController):

@@ -50,7 +50,7 @@ def test_acceleration_fades_only_near_singularities(task, data):
 
 @every
 @given(data=st.data())
-def test_the_margin_that_comes_with_the_acceleration_is_a_lower_bound(task, data):
+def test_margin_that_comes_with_the_acceleration_is_a_lower_bound(task, data):
     """H = [U B, D], and the least inverse singular value of D is the margin."""
     chart = base(data, task)
     J = task.linearize(chart.q_bar + 0.3 * data.draw(checks.numbers(chart.n)))[1]

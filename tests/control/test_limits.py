@@ -94,7 +94,7 @@ def test_whatever_is_chosen_within_the_bounds_no_limit_is_passed(limits, seed, p
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_the_self_motion_gives_way_first(panda: Robot, task: PositionTask) -> None:
+def test_self_motion_gives_way_first(panda: Robot, task: PositionTask) -> None:
     path = figure_eight(task.value(REST), 0.1, period=4.0, plane="yz")
     # A posture beyond the limit of joint 6 draws the self-motion into it.
     posture = REST.copy()
@@ -114,7 +114,7 @@ def test_the_self_motion_gives_way_first(panda: Robot, task: PositionTask) -> No
 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("kind", [PositionTask, PoseTask])
-def test_a_target_out_of_reach_is_given_up_within_all_limits(panda: Robot, kind: type) -> None:
+def test_target_out_of_reach_is_given_up_within_all_limits(panda: Robot, kind: type) -> None:
     task = kind(panda, TCP)
     z = task.value(REST)
     away = task.plus(z, np.eye(task.m)[2])
@@ -137,7 +137,7 @@ def test_a_target_out_of_reach_is_given_up_within_all_limits(panda: Robot, kind:
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_the_torque_is_continuous_through_singularities_and_limits(panda: Robot) -> None:
+def test_torque_is_continuous_through_singularities_and_limits(panda: Robot) -> None:
     """What it changes by from one period to the next shrinks with the period; a jump would stay what it is."""
     posture = np.array([0.2, 0.3, -0.1, -1.0, 0.2, 2.4, 0.8])
     task = PositionTask(panda, TCP)
@@ -193,7 +193,7 @@ def with_slacks(
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([(1, 3), (3, 7), (6, 7), (6, 6)]))
-def test_the_change_is_the_smallest(seed, size):
+def test_change_is_the_smallest(seed, size):
     m, n = size
     random = np.random.default_rng(seed)
     J, root = random.normal(size=(m, n)), random.normal(size=(n, n))
@@ -372,7 +372,7 @@ def weak_run(period: float, compiled: bool) -> Result:
 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("compiled", [True, False])
-def test_a_joint_too_weak_for_gravity_takes_no_other_along(compiled: bool) -> None:
+def test_joint_too_weak_for_gravity_takes_no_other_along(compiled: bool) -> None:
     robot, run = lift_arm(11.0), weak_run(1e-3, compiled)
     others = [0, 2]
     assert (run.q[:, others] <= robot.upper[others] + 1e-5).all()
@@ -392,7 +392,7 @@ def test_a_joint_too_weak_for_gravity_takes_no_other_along(compiled: bool) -> No
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_the_torque_is_continuous_where_a_joint_is_too_weak() -> None:
+def test_torque_is_continuous_where_a_joint_is_too_weak() -> None:
     coarse, fine = (np.abs(np.diff(weak_run(period, True).tau, axis=0)).max() for period in (5e-4, 2.5e-4))
     assert fine < 0.6 * coarse
 

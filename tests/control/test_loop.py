@@ -29,7 +29,7 @@ def loop(panda: Robot) -> ControlLoop:
         (None, STILL, "q must be"),
     ],
 )
-def test_a_bad_state_is_refused_and_the_loop_goes_on(loop: ControlLoop, q: object, dq: object, told: str) -> None:
+def test_bad_state_is_refused_and_the_loop_goes_on(loop: ControlLoop, q: object, dq: object, told: str) -> None:
     first = loop.step(0.0, REST, STILL)
     state = loop.state
     with pytest.raises(StateError, match=told):
@@ -38,7 +38,7 @@ def test_a_bad_state_is_refused_and_the_loop_goes_on(loop: ControlLoop, q: objec
     assert np.array_equal(loop.step(0.002, REST, STILL), first)
 
 
-def test_a_clock_that_runs_backwards_is_refused(loop: ControlLoop) -> None:
+def test_clock_that_runs_backwards_is_refused(loop: ControlLoop) -> None:
     loop.step(1.0, REST, STILL)
     with pytest.raises(StateError, match="monotonic"):
         loop.step(0.5, REST, STILL)
@@ -51,7 +51,7 @@ def test_a_clock_that_runs_backwards_is_refused(loop: ControlLoop) -> None:
     loop.step(0.0, REST, STILL)
 
 
-def test_a_jump_is_refused_once_and_believed_when_it_stays(loop: ControlLoop) -> None:
+def test_jump_is_refused_once_and_believed_when_it_stays(loop: ControlLoop) -> None:
     loop.step(0.0, REST, STILL)
     elsewhere = REST + np.array([0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
     with pytest.raises(StateError, match=r"q\[2\] jumped by 0.5"):
@@ -78,7 +78,7 @@ def test_torques_are_cut_at_the_limits_and_say_so(panda: Robot) -> None:
 
 
 @pytest.mark.parametrize("limits", [True, False])
-def test_a_torque_that_is_not_finite_never_leaves_the_loop(limits: bool) -> None:
+def test_torque_that_is_not_finite_never_leaves_the_loop(limits: bool) -> None:
     loop = ControlLoop(OpenLoop(lambda t: [1.0, np.nan if t > 0.0 else 2.0]), torque_limits=limits)
     loop.step(0.0, [0.0, 0.0], [0.0, 0.0])
     with pytest.raises(StateError, match=r"OpenLoop has no finite torque at t = 1.0 s"):

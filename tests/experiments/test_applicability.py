@@ -65,7 +65,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("words", "told"), REFUSED, ids=[words for words, _ in REFUSED])
-def test_an_option_that_changes_nothing_is_refused(words: str, told: str, tmp_path: Path, monkeypatch, capsys) -> None:
+def test_option_that_changes_nothing_is_refused(words: str, told: str, tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(words.split()) == 2
     assert told in " ".join(capsys.readouterr().err.split())
@@ -78,17 +78,17 @@ def test_rules_name_options_that_exist() -> None:
 
 
 @pytest.mark.parametrize("option", [{"size": 0.1}, {"plane": "yz"}, {"period": 3.0}])
-def test_a_path_that_holds_still_takes_no_shape(panda, option) -> None:
+def test_path_that_holds_still_takes_no_shape(panda, option) -> None:
     task = make_task(panda)
     with pytest.raises(InputError, match="holds still"):
         fitting_path(task, rest_posture(task), shape="hold", **option)
 
 
-def test_a_planar_pose_has_axes(ppr) -> None:
+def test_planar_pose_has_axes(ppr) -> None:
     assert make_task(ppr, "pose", axes="x").m == 2
 
 
-def test_a_task_of_all_joints_is_told(ur5) -> None:
+def test_task_of_all_joints_is_told(ur5) -> None:
     task = make_task(ur5, "pose")
     q = rest_posture(task)
     run = simulate(ur5, eos_pin.EosController(task, Hold(task.value(q), task.m)), q, duration=0.05)
@@ -116,7 +116,7 @@ class Open(Falling):
     task = reference = None
 
 
-def test_a_controller_of_ones_own_without_task_or_reference_is_told(panda) -> None:
+def test_controller_of_ones_own_without_task_or_reference_is_told(panda) -> None:
     task = make_task(panda)
     q = rest_posture(task)
     runs = [simulate(panda, controller, q, duration=0.02) for controller in (Falling(), Aimless(task), Open())]
@@ -144,7 +144,7 @@ class Height(Task, kind="height_of_a_frame"):
 
 
 @pytest.mark.parametrize("stacked", [False, True])
-def test_a_task_of_ones_own_may_read_placements_of_frames(panda, stacked: bool) -> None:
+def test_task_of_ones_own_may_read_placements_of_frames(panda, stacked: bool) -> None:
     own = Height(panda)
     task = StackedTask([PositionTask(panda, "panda_hand_tcp", "xy"), own]) if stacked else own
     expected = PositionTask(panda, "panda_hand_tcp", "xyz" if stacked else "z")
@@ -157,7 +157,7 @@ def test_a_task_of_ones_own_may_read_placements_of_frames(panda, stacked: bool) 
         assert np.allclose(task.at(0.5 * q, dq).z, expected.value(0.5 * q), atol=1e-12)
 
 
-def test_the_packages_own_tasks_compute_only_the_frames_they_need(panda) -> None:
+def test_packages_own_tasks_compute_only_the_frames_they_need(panda) -> None:
     assert not any(make_task(panda, kind)._needs_frames for kind in ("position", "pose", "orientation", "com"))
 
 
@@ -167,6 +167,6 @@ def test_robot_source_refuses_other_values(source) -> None:
         load_robot(source)
 
 
-def test_an_open_file_is_no_source_of_a_robot(tmp_path: Path) -> None:
+def test_open_file_is_no_source_of_a_robot(tmp_path: Path) -> None:
     with (tmp_path / "a.urdf").open("w") as file, pytest.raises(InputError, match="got TextIOWrapper"):
         load_robot(file)

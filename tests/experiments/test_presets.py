@@ -18,7 +18,7 @@ ROBOTS = ("panda", "xarm7", "talos_left_arm", "kinova", "ur5", "ppr", "planar_ch
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_the_rest_posture_is_inside_limits_and_regular(name: str) -> None:
+def test_rest_posture_is_inside_limits_and_regular(name: str) -> None:
     robot = load_robot(name, chain_to="auto")
     task = make_task(robot)
     q = rest_posture(task)
@@ -29,7 +29,7 @@ def test_the_rest_posture_is_inside_limits_and_regular(name: str) -> None:
 
 
 @pytest.mark.parametrize("shape", ["eight", "circle", "line"])
-def test_a_fitting_path_starts_at_the_posture_and_fits(shape: str) -> None:
+def test_fitting_path_starts_at_the_posture_and_fits(shape: str) -> None:
     robot = load_robot("panda", chain_to="auto")
     task = make_task(robot, "pose")
     q = rest_posture(task)
@@ -114,7 +114,7 @@ def test_make_task_refuses_directions_that_cannot_move() -> None:
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_a_leg_hangs_away_from_its_limits() -> None:
+def test_leg_hangs_away_from_its_limits() -> None:
     robot = load_robot("romeo", chain_to="l_sole")
     q = rest_posture(make_task(robot, "pose"))
     span = robot.upper - robot.lower

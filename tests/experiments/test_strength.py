@@ -32,7 +32,7 @@ def test_the_default_run_of_a_weak_arm_has_enough_torque(panda, part, unchecked)
         assert path.period == 4.0
 
 
-def test_a_posture_is_turned_to_where_the_joints_can_hold_it(panda):
+def test_posture_is_turned_to_where_the_joints_can_hold_it(panda):
     before = rest_posture(make_task(panda))
     part = 0.7 * gravity_load(panda, before)
     robot = weakened(panda, part)

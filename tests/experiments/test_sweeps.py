@@ -94,19 +94,19 @@ def test_trials_are_all_combinations_in_order():
         ({"robot": "ppr", "seed": range(10**12)}, "make 1,000,000,000,000 runs; up to 100,000 are possible"),
     ],
 )
-def test_a_trial_that_cannot_be_is_refused_at_once(settings, told):
+def test_trial_that_cannot_be_is_refused_at_once(settings, told):
     with pytest.raises((InputError, UnknownNameError), match=told):
         trials(**settings)
 
 
-def test_a_trial_takes_joints_by_name():
+def test_trial_takes_joints_by_name():
     trial = Trial.from_settings("planar_chain_10", q0={"y3": 0.5}, lock={"y10": np.float64(0.25)})
     robot, _, q, _ = trial.prepare()
     assert (robot.n, robot.options["lock"]) == (9, {"y10": 0.25})
     assert q[[joint.name for joint in robot.joints].index("y3")] == 0.5
 
 
-def test_the_key_is_the_same_in_any_process_and_for_equal_numbers():
+def test_key_is_the_same_in_any_process_and_for_equal_numbers():
     trial = Trial.from_settings("panda", kp=50, v=(0.0, 1, 0.5, 0), control_rate=np.float64(500.0), seed=np.int64(3))
     settings = "seed=3, control_rate=500, v=[0, 1, 0.5, 0], kp=50.0"
     code = f"from eos_pin import Trial; print(Trial.from_settings('panda', {settings}).key)"
@@ -127,7 +127,7 @@ def test_the_key_is_the_same_in_any_process_and_for_equal_numbers():
         },
     )
 )
-def test_a_trial_can_be_made_again_from_its_settings(settings):
+def test_trial_can_be_made_again_from_its_settings(settings):
     trial = Trial.from_settings("panda", **settings)
     again = Trial.from_settings(**trial.settings)
     assert again == trial
@@ -147,7 +147,7 @@ def test_another_file_or_kind_of_trial_has_another_key(tmp_path):
 # -- sweeps --------------------------------------------------------------------------------------------------------
 
 
-def test_a_row_is_what_a_run_by_hand_gives():
+def test_row_is_what_a_run_by_hand_gives():
     (row,) = sweep(trials(**SHORT, kp=64.0, model_error=0.1, seed=3))
     robot = load_robot("ppr", chain_to="auto")
     task = PositionTask(robot, robot.options["chain_to"], "xy")
@@ -178,7 +178,7 @@ def test_finished_runs_are_kept_and_not_computed_again(tmp_path):
     assert set(times_run(tmp_path).values()) == {1}
 
 
-def test_a_damaged_file_is_computed_again_and_equal_trials_once(tmp_path):
+def test_damaged_file_is_computed_again_and_equal_trials_once(tmp_path):
     planned = noted(tmp_path, count=2)
     rows = sweep([*planned, *planned], folder=tmp_path)
     assert times_run(tmp_path) == {0: 1, 1: 1}
@@ -189,7 +189,7 @@ def test_a_damaged_file_is_computed_again_and_equal_trials_once(tmp_path):
     assert times_run(tmp_path) == {0: 1, 1: 2}
 
 
-def test_a_run_that_fails_is_a_row_and_is_tried_again(tmp_path):
+def test_run_that_fails_is_a_row_and_is_tried_again(tmp_path):
     planned = noted(tmp_path, count=3)
     planned[1] = replace(planned[1], fate="raise")
     for _ in range(2):
@@ -200,7 +200,7 @@ def test_a_run_that_fails_is_a_row_and_is_tried_again(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_process_that_dies_ends_the_sweep_with_advice(tmp_path):
+def test_process_that_dies_ends_the_sweep_with_advice(tmp_path):
     planned = noted(tmp_path, count=3)
     with pytest.raises(EosError, match=r"died.* kept in"):
         sweep([*planned, replace(planned[0], fate="die")], folder=tmp_path / "kept", jobs=2)
@@ -231,7 +231,7 @@ def test_killed_half_way_no_finished_run_is_computed_twice(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_dask_cluster_gives_the_same_table():
+def test_dask_cluster_gives_the_same_table():
     distributed = pytest.importorskip("distributed")
     planned = trials(
         robot=["ppr", "panda"], kp=[50.0, 100.0], seed=range(2), control_rate=500.0, model_error=0.1, cycles=1
@@ -261,7 +261,7 @@ def failing():
     return rows
 
 
-def test_a_table_reads_back(tmp_path):
+def test_table_reads_back(tmp_path):
     rows = failing()
     path = write_table(rows, tmp_path / "runs.csv")
     with path.open(newline="") as file:
@@ -277,7 +277,7 @@ def test_a_table_reads_back(tmp_path):
     }
 
 
-def test_a_table_of_another_kind_is_refused(tmp_path, monkeypatch):
+def test_table_of_another_kind_is_refused(tmp_path, monkeypatch):
     rows = failing()
     with pytest.raises(InputError, match=r"\.parquet"):
         write_table(rows, tmp_path / "runs.xlsx")
@@ -289,7 +289,7 @@ def test_a_table_of_another_kind_is_refused(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_figure_leaves_out_what_failed():
+def test_figure_leaves_out_what_failed():
     rows = failing()
     figure = plot_sweep(rows, ["size"])
     assert [ax.get_xlabel() for ax in figure.axes] == ["size"] * 4
@@ -301,7 +301,7 @@ def test_the_figure_leaves_out_what_failed():
 # -- the command ---------------------------------------------------------------------------------------------------
 
 
-def test_the_command_sweeps_and_goes_on(tmp_path, monkeypatch, capsys):
+def test_command_sweeps_and_goes_on(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = [
         "sweep",
@@ -332,7 +332,7 @@ def test_the_command_sweeps_and_goes_on(tmp_path, monkeypatch, capsys):
     assert Path("more.csv").exists()
 
 
-def test_the_command_ends_with_1_where_a_run_fails(tmp_path, monkeypatch, capsys):
+def test_command_ends_with_1_where_a_run_fails(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = ["--path", "circle", "--size", "1.5", "--cycles", "1"]
     assert main(["sweep", "panda", *words, "--jobs", "1", "--control-rate", "200"]) == 1

@@ -80,7 +80,7 @@ def test_23_joints_keep_every_body_clear_of_three_discs(tmp_path):
 
 
 @pytest.mark.parametrize("task", ["pose", pytest.param("position", marks=pytest.mark.slow)])
-def test_an_arm_of_seven_joints_keeps_its_real_shape_clear_of_a_ball(tmp_path, task):
+def test_arm_of_seven_joints_keeps_its_real_shape_clear_of_a_ball(tmp_path, task):
     figures, result = run("example_7dof_obstacle.py", tmp_path, "--cycles", "1", "--task", task)
     assert (figures["n"], figures["r"]) == (7, 1 if task == "pose" else 4)
     assert figures["clearance_min_between_points"] > 0.02
@@ -103,7 +103,7 @@ def test_an_arm_of_seven_joints_keeps_its_real_shape_clear_of_a_ball(tmp_path, t
             assert np.linalg.norm(world.T - [0.15, 0.06, 0.83], axis=1).min() > 0.07
 
 
-def test_the_moving_disc_can_be_stopped_and_rounds_repeat(unchecked):
+def test_moving_disc_can_be_stopped_and_rounds_repeat(unchecked):
     still = planar_chain(moving=False, cycles=1)
     assert np.ptp([still.clearance.obstacles[2].at(t).translation for t in (0.0, 3.0, 7.0)], axis=0).max() == 0.0
     application = planar_chain(cycles=2)
@@ -114,7 +114,7 @@ def test_the_moving_disc_can_be_stopped_and_rounds_repeat(unchecked):
     assert application.figures(result)["clearance_min"] > 0.05
 
 
-def test_a_robot_that_touches_an_obstacle_fails(unchecked, capsys):
+def test_robot_that_touches_an_obstacle_fails(unchecked, capsys):
     """With a ball so near that it repels only when it is too late."""
     assert run_obstacle_example(panda(margin=1e-3, cycles=1), Output(), "too late") == 1
     assert "FAILS: every body is clear" in capsys.readouterr().out

@@ -68,7 +68,7 @@ def state():
     return task, Chart.from_base(task, np.zeros(3)), q, dq
 
 
-def test_the_planar_robot_is_the_one_of_section_4_3(state):
+def test_planar_robot_is_the_one_of_section_4_3(state):
     task, _, q, dq = state
     s, c, w = math.sin(q[2]), math.cos(q[2]), dq[2]
     robot = task.robot
@@ -80,7 +80,7 @@ def test_the_planar_robot_is_the_one_of_section_4_3(state):
     assert np.abs(J - [[1, 0, -s], [0, 1, c]]).max() < EXACT
 
 
-def test_the_chart_at_zero_is_the_one_printed_in_section_4_3():
+def test_chart_at_zero_is_the_one_printed_in_section_4_3():
     task, *_ = paper.planar_robot()
     chart = Chart.from_base(task, np.zeros(3))
     # U spans the rows of G', V is their complement; the sign of V is anyone's choice.
@@ -122,7 +122,7 @@ def test_mu_needs_the_time_derivative_of_the_jacobian(state):
     assert np.abs(reached(printed) - wanted).max() > 0.1
 
 
-def test_the_chain_is_the_one_of_section_6_with_gravity_along_minus_y():
+def test_chain_is_the_one_of_section_6_with_gravity_along_minus_y():
     task, *_ = paper.planar_chain(gravity=True)
     random = np.random.default_rng(3)
     q = random.uniform(-1.0, 1.0, 10)
@@ -142,7 +142,7 @@ def test_the_chain_is_the_one_of_section_6_with_gravity_along_minus_y():
     assert np.abs(task.robot.gravity(q) - paper.STANDARD_GRAVITY * Q).max() < 1e3 * EXACT
 
 
-def test_the_chain_starts_as_a_closed_octagon_on_its_path():
+def test_chain_starts_as_a_closed_octagon_on_its_path():
     task, path, q, _ = paper.planar_chain()
     assert np.abs(task.value(q) - path(0.0).z).max() < 20 * EXACT
     # The eight entries that are printed leave two joints out; those at the front straight, it is no octagon.
@@ -167,7 +167,7 @@ def test_velocity_control_drifts_and_charts_do_not(unchecked):
     assert np.array_equal(runs["charts"].z_ref, runs["velocity control"].z_ref)
 
 
-def test_a_path_of_several_charts_repeats_only_once_the_joints_have_found_one(unchecked):
+def test_path_of_several_charts_repeats_only_once_the_joints_have_found_one(unchecked):
     run = paper.noncyclic(robot="planar_chain_10", path="circle", cycles=20).experiments["charts"].run()
     assert run.ok
     assert len(run.switches) > 5
@@ -176,7 +176,7 @@ def test_a_path_of_several_charts_repeats_only_once_the_joints_have_found_one(un
 
 
 @pytest.mark.parametrize("threshold", [0.5, 0.7, 0.9])
-def test_an_undamped_self_motion_runs_away_from_chart_to_chart(threshold, unchecked):
+def test_undamped_self_motion_runs_away_from_chart_to_chart(threshold, unchecked):
     # With ddv = 0 on each chart, dv is constant there; the joints move faster by 1 / margin. So the next chart begins
     # with dv larger by 1 / threshold, and is used up sooner by as much: infinitely many charts take a finite time.
     task = PositionTask(paper.planar_robot().task.robot, "tip", "xy")
@@ -192,7 +192,7 @@ def test_an_undamped_self_motion_runs_away_from_chart_to_chart(threshold, unchec
     assert simulate(task.robot, damped, np.zeros(3), start, duration=40.0, record_rate=10.0).ok
 
 
-def test_the_printed_distance_repels_from_below_and_a_negative_one_from_above(unchecked):
+def test_printed_distance_repels_from_below_and_a_negative_one_from_above(unchecked):
     for offset, side in ((3.0, 1.0), (-3.0, -1.0)):
         run = paper.obstacle(cycles=1, offset=offset, damping=20.0).experiments["eos"].run()
         still = paper.self_motion_tracking(cycles=1).experiments["eos"].run()
@@ -218,7 +218,7 @@ def test_kinetic_energies_have_the_order_of_the_paper_only_at_its_gain(unchecked
 
 
 @pytest.mark.slow
-def test_a_zero_second_row_serves_only_an_exact_model(unchecked):
+def test_zero_second_row_serves_only_an_exact_model(unchecked):
     task, path, q, duration = paper.planar_chain()
     plant = task.robot.perturbed(mass=0.05, com=0.05, inertia=0.05, seed=0)
     held = simulate(plant, EosController(task, path), q, duration=duration)
@@ -263,7 +263,7 @@ def test_every_figure_of_the_paper_has_a_counterpart(runs, tmp_path):
         assert plots.save(figures[name], tmp_path / f"{name}.pdf").stat().st_size > 5_000
 
 
-def test_a_claim_compares_one_number_with_one_bound():
+def test_claim_compares_one_number_with_one_bound():
     assert Claim("1", "small", 1e-12, 1e-9).holds
     assert not Claim("1", "small", 2e-9, 1e-9).holds
     assert Claim("1", "large", 3.0, 1.0, at_least=True).holds
@@ -271,7 +271,7 @@ def test_a_claim_compares_one_number_with_one_bound():
         assert not Claim("1", "not measured", math.nan, 1.0, at_least).holds
 
 
-def test_the_table_shows_what_is_the_same_everywhere():
+def test_table_shows_what_is_the_same_everywhere():
     small, ratio, failed = (
         Claim("1", "a", 3e-13, 1e-9),
         Claim("2", "b", 0.12345, 1.0, digits=3),
@@ -283,7 +283,7 @@ def test_the_table_shows_what_is_the_same_everywhere():
     assert study_table({1e-6: [small], 1e-9: [ratio]}).splitlines()[0].endswith("| rtol 1e-06 | rtol 1e-09 |")
 
 
-def test_a_block_is_replaced_or_appended_and_nothing_else_changes(tmp_path):
+def test_block_is_replaced_or_appended_and_nothing_else_changes(tmp_path):
     path = tmp_path / "README.md"
     path.write_text("# Title\n\n<!-- claims -->\nold\n<!-- /claims -->\nend\n", encoding="utf-8")
     update_block(path, "claims", "new", "Claims")
@@ -298,7 +298,7 @@ def test_a_block_is_replaced_or_appended_and_nothing_else_changes(tmp_path):
 # -- pictures --------------------------------------------------------------------------------------------------------
 
 
-def test_a_gif_shows_the_robot_moving(tmp_path, unchecked):
+def test_gif_shows_the_robot_moving(tmp_path, unchecked):
     example = paper.self_motion_tracking(cycles=1)
     run = example.experiments["eos"].run()
     path = write_gif(tmp_path / "eos.gif", run, example.robot, end=1.0, fps=5.0)
@@ -310,7 +310,7 @@ def test_a_gif_shows_the_robot_moving(tmp_path, unchecked):
         assert np.abs(np.asarray(image.convert("RGB")) - first).max() > 50
 
 
-def test_a_gif_of_a_robot_in_space_is_refused(panda, tmp_path):
+def test_gif_of_a_robot_in_space_is_refused(panda, tmp_path):
     task = PositionTask(panda, "panda_hand_tcp")
     q = np.array([0.0, -0.3, 0.3, -2.0, 0.2, 1.7, 0.8])
     run = simulate(panda, EosController(task, Hold(task.value(q))), q, duration=0.05)
@@ -318,7 +318,7 @@ def test_a_gif_of_a_robot_in_space_is_refused(panda, tmp_path):
         write_gif(tmp_path / "panda.gif", run, panda)
 
 
-def test_a_page_has_the_quantities_of_the_paper_on_its_axes(unchecked):
+def test_page_has_the_quantities_of_the_paper_on_its_axes(unchecked):
     example = paper.self_motion_tracking(cycles=1)
     run = example.experiments["eos"].run()
     figure = page([paths(run), motion(run, trace=["tip", "rail_tip"])], example.robot)
@@ -329,7 +329,7 @@ def test_a_page_has_the_quantities_of_the_paper_on_its_axes(unchecked):
     assert labels[3] == ("x [m]", "y [m]")
 
 
-def test_the_obstacle_potential_has_the_gradient_of_equation_40():
+def test_obstacle_potential_has_the_gradient_of_equation_40():
     law = paper.obstacle(offset=4.0).experiments["eos"].controller.self_motion
     assert isinstance(law, DescendPotential)
     q, step = np.array([0.3, -0.4, 0.5]), 1e-6

@@ -90,7 +90,7 @@ def test_distances_of_an_arm_are_those_of_its_meshes(panda, data):
 
 
 @given(st.data())
-def test_the_gradient_is_the_slope_on_an_arm(panda, data):
+def test_gradient_is_the_slope_on_an_arm(panda, data):
     q = data.draw(checks.joints(panda))
     obstacles = [
         Obstacle(coal.Sphere(0.1), [0.3, 0.1, 0.6]),
@@ -106,7 +106,7 @@ def test_the_gradient_is_the_slope_on_an_arm(panda, data):
 
 
 @given(checks.numbers(23, 0.4))
-def test_the_gradient_is_the_slope_on_the_chain(among_discs, q):
+def test_gradient_is_the_slope_on_the_chain(among_discs, q):
     near = among_discs.nearest(0.0, q)
     assume(near.distance > 1e-2)
     slopes = [slope(among_discs, 0.0, q, near.body, step) for step in (1e-6, 1e-5)]
@@ -114,7 +114,7 @@ def test_the_gradient_is_the_slope_on_the_chain(among_discs, q):
     np.testing.assert_allclose(near.gradient, slopes[1], atol=1e-3)
 
 
-def test_an_approach_joins_the_nearest_points(panda):
+def test_approach_joins_the_nearest_points(panda):
     q, _ = checks.random_state(panda, 3)
     clearance = Clearance(panda, [Obstacle(coal.Sphere(0.05), [0.5, 0.5, 0.9], "ball")])
     closest_pairs = clearance.closest_pairs(0.0, q)
@@ -180,7 +180,7 @@ def test_clearance_refuses_shapes_and_bodies_it_cannot_measure(panda):
         Clearance(eos_pin.Robot(panda.model), [ball])
 
 
-def test_a_flat_mesh_is_an_obstacle_like_any_other(ppr, tmp_path):
+def test_flat_mesh_is_an_obstacle_like_any_other(ppr, tmp_path):
     trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]]).export(tmp_path / "flat.stl")
     sheet = coal.MeshLoader().load(str(tmp_path / "flat.stl"), np.ones(3))
     clearance = Clearance(ppr, [Obstacle(sheet, [2.0, 0.0, 0.0])], bodies=["link"])
@@ -189,7 +189,7 @@ def test_a_flat_mesh_is_an_obstacle_like_any_other(ppr, tmp_path):
     assert clearance.nearest(0.0, np.zeros(3)).distance == pytest.approx(1.0 - radius, abs=DISTANCE)
 
 
-def test_the_potential_is_zero_from_the_margin_on_and_its_gradient_is_its_slope(panda):
+def test_potential_is_zero_from_the_margin_on_and_its_gradient_is_its_slope(panda):
     q, _ = checks.random_state(panda, 5)
     ball = Clearance(panda, [Obstacle(coal.Sphere(0.1), [0.3, 0.3, 0.5])])
     reach = ball.nearest(0.0, q).distance
@@ -203,7 +203,7 @@ def test_the_potential_is_zero_from_the_margin_on_and_its_gradient_is_its_slope(
     )
 
 
-def test_the_potential_is_one_that_control_can_descend(panda):
+def test_potential_is_one_that_control_can_descend(panda):
     q, dq = checks.random_state(panda, 5)
     ball = Clearance(panda, [Obstacle(coal.Sphere(0.1), [0.3, 0.3, 0.5])])
     chart = Chart.from_base(PositionTask(panda, "panda_hand_tcp"), q)
@@ -232,7 +232,7 @@ def test_avoidance_step_is_zero_far_from_obstacles(panda, hand):
     np.testing.assert_array_equal(still, np.zeros(4))
 
 
-def test_a_step_makes_way_and_none_is_too_long(panda, hand):
+def test_step_makes_way_and_none_is_too_long(panda, hand):
     chart = Chart.from_base(hand, READY)
     elbow = panda.placement(READY, "panda_link4").translation
     clearance = Clearance(panda, [Obstacle(coal.Sphere(0.05), elbow + np.array([0.0, 0.15, 0.1]))])
@@ -244,7 +244,7 @@ def test_a_step_makes_way_and_none_is_too_long(panda, hand):
     assert clearance.nearest(0.0, after).distance > clearance.nearest(0.0, READY).distance
 
 
-def test_a_posture_draws_and_a_limit_repels(panda, hand):
+def test_posture_draws_and_a_limit_repels(panda, hand):
     chart = Chart.from_base(hand, READY)
     away = chart.inverse(hand.value(READY), np.array([0.3, 0.0, 0.0, 0.0])).q
     back = Avoidance(far_away(panda), posture=READY).step(0.0, away, chart)
@@ -276,7 +276,7 @@ def test_following_keeps_the_task_and_ends_where_the_robot_does(panda, hand):
     assert f"point {len(beyond.q)} of 41" in beyond.message
 
 
-def test_a_law_that_makes_no_sense_is_refused(panda, hand):
+def test_law_that_makes_no_sense_is_refused(panda, hand):
     clearance = far_away(panda)
     for wrong in ({"influence_distance": 0.0}, {"room": -1.0}, {"damping": 0.0}, {"longest": math.nan}, {"pull": -1.0}):
         with pytest.raises(InputError, match=next(iter(wrong))):

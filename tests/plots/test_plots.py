@@ -145,7 +145,7 @@ class TestPages:
         assert [line.get_color() for line in figure.axes[0].lines] == [CONTROLLERS["task-space"], CONTROLLERS["eos"]]
         draw(figure, tmp_path)
 
-    def test_a_failed_run_says_why(self, runs, ppr, tmp_path):
+    def test_failed_run_says_why(self, runs, ppr, tmp_path):
         why = "the run ended at t = 1 s: " + "the task is singular $here " * 20
         figure = plots.overview(replace(runs["eos"], status="singular", message=why), ppr)
         assert "singular" in figure.get_suptitle()
@@ -167,7 +167,7 @@ class TestPanels:
             np.testing.assert_array_equal(line.get_xdata(), [k * PERIOD for k in range(4)])
             np.testing.assert_array_equal(line.get_ydata(), result.q[result.cycle_rows, joint])
 
-    def test_a_curve_does_not_hide_an_equal_one(self, ax, runs, ppr):
+    def test_curve_does_not_hide_an_equal_one(self, ax, runs, ppr):
         # q2 = q3 under EOS control from q = 0, and v is one coordinate
         plots.plot_joints(ax, runs["eos"], ppr)
         assert [line.get_linestyle() for line in ax.lines[:3]] == ["-", "-", "--"]
@@ -325,7 +325,7 @@ class TestFiles:
             plots.save(energies(runs), tmp_path / name)
         assert not list(tmp_path.iterdir())
 
-    def test_a_place_that_cannot_be_written(self, runs, tmp_path):
+    def test_place_that_cannot_be_written(self, runs, tmp_path):
         (tmp_path / "file").touch()
         with pytest.raises(OutputError, match="cannot write"):
             plots.save(energies(runs), tmp_path / "file" / "figure.png")

@@ -38,7 +38,7 @@ PATHS = {robot.name: robot.path for robot in available_robots()}
     ],
     ids=lambda value: f"{value.robot}-{value.frame}" if isinstance(value, Row) else "",
 )
-def test_a_chain_runs_or_says_why_not(row: Row, task: str) -> None:
+def test_chain_runs_or_says_why_not(row: Row, task: str) -> None:
     leaves = {other.frame for other in every_robot.rows_of(next(r for r in available_robots() if r.name == row.robot))}
     row = row if row.frame in leaves else replace(row, frame=min(leaves))
     done = attempt(row, PATHS[row.robot], 0.5, 60.0)
@@ -65,7 +65,7 @@ def test_attempt_records_terminal_output(monkeypatch) -> None:
     assert attempt(Row("ppr", "tip", 3, "position"), PATHS["ppr"], 1.0, 5.0).said == "Warning: link"
 
 
-def test_the_page_has_every_robot() -> None:
+def test_page_has_every_robot() -> None:
     page = every_robot.DOCUMENT.read_text(encoding="utf-8")
     assert [name for name in PATHS if f"| {name} |" not in page] == []
     assert "crashed" not in page

@@ -34,7 +34,7 @@ def test_damaged_files_are_refused_quickly_and_in_silence(tmp_path: Path) -> Non
     assert figures["memory_bytes"] < fuzz_urdf.MEMORY_LIMIT
 
 
-def test_a_seed_always_makes_the_same_file() -> None:
+def test_seed_always_makes_the_same_file() -> None:
     files = [fuzz_urdf.mutated(seed) for seed in range(40)]
     assert files == [fuzz_urdf.mutated(seed) for seed in range(40)]
     assert len(set(files)) == 40
@@ -65,7 +65,7 @@ def test_captured_output_does_not_reach_terminal(capfd) -> None:
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_time_limit_ends_with_its_block() -> None:
+def test_time_limit_ends_with_its_block() -> None:
     with pytest.raises(TimeoutError, match=r"after 0\.01 s"), time_limit(0.01):
         time.sleep(5.0)
     with time_limit(0.05):

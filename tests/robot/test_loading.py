@@ -81,7 +81,7 @@ def test_robots_by_name(given, name, n):
     assert re.fullmatch("[0-9a-f]{64}", robot.urdf_sha256)
 
 
-def test_a_wrong_name_lists_near_ones():
+def test_wrong_name_lists_near_ones():
     with pytest.raises(UnknownNameError, match="Did you mean panda"):
         load_robot("pandas")
     with pytest.raises(UnknownNameError, match="Did you mean"):
@@ -107,7 +107,7 @@ def test_a_wrong_name_lists_near_ones():
         ("planar_chain_10", "tip"),
     ],
 )
-def test_the_frame_a_person_means(name, frame):
+def test_frame_a_person_means(name, frame):
     assert load_robot(name, chain_to="auto").options["chain_to"] == frame
 
 
@@ -196,7 +196,7 @@ def test_locking_keeps_all_that_the_full_model_has(name, locked):
                 assert a.isApprox(b, EXACT)
 
 
-def test_a_joint_whose_limits_leave_no_room_is_locked(urdf):
+def test_joint_whose_limits_leave_no_room_is_locked(urdf):
     text = ROBOTS["panda"].path.read_text()
     start = text.index("lower=", text.index('name="panda_joint3"'))
     end = text.index("/>", start)
@@ -220,7 +220,7 @@ def test_locked_joints_stand_at_zero_or_at_the_limit_nearest_to_it():
     assert load_robot("panda", lock=["panda_joint4"]).options == robot.options == {"lock": ["panda_joint4"]}
 
 
-def test_a_chain_keeps_its_joints_and_carries_the_rest():
+def test_chain_keeps_its_joints_and_carries_the_rest():
     robot = load_robot("panda", chain_to="panda_hand_tcp")
     assert [joint.name for joint in robot.joints] == [f"panda_joint{i}" for i in range(1, 8)]
     full = load_robot("panda")
@@ -346,7 +346,7 @@ def urdf(tmp_path):
     return write
 
 
-def test_a_path_of_any_kind(urdf, monkeypatch, tmp_path):
+def test_path_of_any_kind(urdf, monkeypatch, tmp_path):
     path = urdf(arm(), "möbel/räuber 機.urdf")
     monkeypatch.chdir(tmp_path)
     for source in (path, str(path), os.path.relpath(path, tmp_path)):
@@ -476,7 +476,7 @@ def test_things_that_are_no_files(tmp_path, urdf):
         load_robot(huge)
 
 
-def test_a_file_that_may_not_be_read(urdf, monkeypatch):
+def test_file_that_may_not_be_read(urdf, monkeypatch):
     path = urdf(arm())
 
     def refuse(*_args, **_kwargs):
@@ -715,28 +715,28 @@ HANDS = {
 
 
 @pytest.mark.parametrize("hand", HANDS.values(), ids=HANDS)
-def test_the_default_frame_is_the_flange_whatever_it_carries(hand, urdf):
+def test_default_frame_is_the_flange_whatever_it_carries(hand, urdf):
     path = urdf(carrying(hand))
     robot = load_robot(path, chain_to="auto")
     assert (robot.n, robot.options["chain_to"]) == (5, "flange")
     assert default_frame(load_robot(path)) == "flange"
 
 
-def test_the_default_frame_of_an_arm_with_a_follower_in_it_is_before_the_follower(urdf):
+def test_default_frame_of_an_arm_with_a_follower_in_it_is_before_the_follower(urdf):
     text = carrying("").replace('name="j2"', 'name="drive"')
     text = text.replace(joint("j4", parent="l3", child="l4"), joint("j4", parent="l3", child="l4", inner=MIMIC))
     robot = load_robot(urdf(text), chain_to="auto")
     assert (robot.n, robot.options["chain_to"]) == (3, "l3")
 
 
-def test_a_hand_alone_is_a_robot(urdf):
+def test_hand_alone_is_a_robot(urdf):
     robot = load_robot(urdf(carrying("", joints=3).replace('name="j', 'name="finger_j')), chain_to="auto")
     assert robot.options["chain_to"] == "flange"
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_a_damaged_urdf_gives_an_eos_error_or_a_robot(data, urdf, capfd):
+def test_damaged_urdf_gives_an_eos_error_or_a_robot(data, urdf, capfd):
     text = ROBOTS["ppr"].path.read_text()
     for _ in range(data.draw(st.integers(1, 4))):
         start = data.draw(st.integers(0, len(text) - 1))

@@ -156,14 +156,14 @@ def test_frames_by_name():
     assert caught.value.kind == "frame"
 
 
-def test_a_link_comes_before_a_joint_of_the_same_name():
+def test_link_comes_before_a_joint_of_the_same_name():
     model = chain(1)
     model.addFrame(pin.Frame("j0", 1, pin.SE3.Random(), pin.FrameType.BODY))
     robot = Robot(model)
     assert robot.model.frames[robot.frame_id("j0")].type == pin.FrameType.BODY
 
 
-def test_the_callers_model_is_left_alone():
+def test_callers_model_is_left_alone():
     model = chain(2)
     robot = Robot(model, name="mine")
     assert robot.with_gravity(0.0).name == "mine"
@@ -286,7 +286,7 @@ def test_dynamics_of_a_robot_that_lacks_them_are_refused_and_its_kinematics_are_
     assert robot.placement(np.zeros(robot.n), robot.frames[-1]).translation.shape == (3,)
 
 
-def test_a_robot_with_mass_lacks_no_dynamics():
+def test_robot_with_mass_lacks_no_dynamics():
     robot = Robot(chain(3))
     assert robot.lacks_dynamics == ""
     robot.check_dynamics()

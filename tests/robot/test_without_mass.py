@@ -87,13 +87,13 @@ def test_dynamics_names_the_links_without_mass(light, use):
         use(task, rest_posture(task))
 
 
-def test_a_plant_without_mass_is_refused_before_the_run(light, heavy):
+def test_plant_without_mass_is_refused_before_the_run(light, heavy):
     task = PositionTask(heavy, "tip")
     q = rest_posture(task)
     with pytest.raises(RobotError, match="move no mass"):
         simulate(light, EosController(task, Hold(task.value(q), task.m)), q, duration=0.1)
 
 
-def test_a_centre_of_mass_needs_mass(light):
+def test_centre_of_mass_needs_mass(light):
     with pytest.raises(RobotError, match="no link that moves has mass"):
         ComTask(light)

@@ -54,7 +54,7 @@ class Clock(Controller):
 # -- missed periods ------------------------------------------------------------------------------------------------
 
 
-def test_the_last_torque_stays_where_a_period_is_missed(panda):
+def test_last_torque_stays_where_a_period_is_missed(panda):
     clock = Clock(panda.gravity(REST))
     run = simulate_sampled(panda, clock, REST, duration=1.0, dropout=0.3, seed=4, record_rate=1000.0)
     # The first period has no torque to fall back on.
@@ -88,7 +88,7 @@ def test_missing_half_of_all_periods_is_like_a_longer_period(panda, task):
 
 
 @pytest.mark.parametrize("dropout", [-0.1, 1.0, np.nan])
-def test_a_dropout_is_a_probability_below_1(panda, dropout):
+def test_dropout_is_a_probability_below_1(panda, dropout):
     with pytest.raises(InputError, match="dropout"):
         simulate_sampled(panda, OpenLoop(lambda t: np.zeros(7)), REST, duration=0.1, dropout=dropout)
 
@@ -96,7 +96,7 @@ def test_a_dropout_is_a_probability_below_1(panda, dropout):
 # -- friction --------------------------------------------------------------------------------------------------------
 
 
-def test_the_law_of_friction():
+def test_law_of_friction():
     law = Friction(viscous=[1.0, 0.0], coulomb=[0.0, 3.0], speed=0.05)
     np.testing.assert_allclose(law.torque(np.array([0.5, 0.5])), [-0.5, -3.0], rtol=1e-8)
     np.testing.assert_allclose(law.torque(np.array([0.5, 0.05])), [-0.5, -3.0 * np.tanh(1.0)])
@@ -168,7 +168,7 @@ def test_every_controller_bears_it(panda, task, kind, against):
 
 
 @pytest.mark.parametrize("kind", ["eos", "limited", "posture"])
-def test_a_push_is_forgotten_at_the_rate_of_the_gains(panda, task, kind):
+def test_push_is_forgotten_at_the_rate_of_the_gains(panda, task, kind):
     controller = controllers(task, Hold(task.value(REST)))[kind]
     push = TaskForce(task, lambda t: (0.0, 30.0 * (0.2 <= t < 0.4), 0.0))
     run = simulate_sampled(panda, controller, REST, duration=2.5, task_force=push)
@@ -179,7 +179,7 @@ def test_a_push_is_forgotten_at_the_rate_of_the_gains(panda, task, kind):
 
 
 @pytest.mark.slow
-def test_the_benchmark_measures_what_it_says():
+def test_benchmark_measures_what_it_says():
     path = Path(__file__).parents[2] / "benchmarks" / "robustness.py"
     benchmark = runpy.run_path(str(path))
     row = benchmark["measure"]("position", "all at once", "EOS", cycles=3, seeds=1)
@@ -190,7 +190,7 @@ def test_the_benchmark_measures_what_it_says():
     assert set(benchmark["QUICK"]) < set(benchmark["SCENARIOS"])
 
 
-def test_a_torque_that_is_not_finite_ends_a_run_at_once(panda):
+def test_torque_that_is_not_finite_ends_a_run_at_once(panda):
     # A step size that is not finite would keep the integrator busy for ever.
     run = simulate(panda, OpenLoop(lambda t: np.full(7, np.nan)), REST, duration=1.0)
     assert run.status == "integration_failed"

@@ -55,7 +55,7 @@ def test_limits_that_are_passed_are_told_with_joint_and_size():
 
 
 @pytest.mark.parametrize(("upper", "beyond"), [(None, 0.5), (-1.0, 2.0)])
-def test_a_range_without_width_or_end_still_tells_what_is_passed(upper, beyond):
+def test_range_without_width_or_end_still_tells_what_is_passed(upper, beyond):
     q = Q - [1.0, 0.0, 0.0] if upper is None else Q
     found = use_of_limits(bounds(upper=[upper, None, 0.5]), q, DQ, TAU)
     assert found["position"]["beyond"] == pytest.approx(beyond)
@@ -63,7 +63,7 @@ def test_a_range_without_width_or_end_still_tells_what_is_passed(upper, beyond):
     assert found["passed"]
 
 
-def test_a_robot_without_limits_and_a_run_without_samples_have_no_ratios():
+def test_robot_without_limits_and_a_run_without_samples_have_no_ratios():
     nothing = [None] * 3
     found = use_of_limits(bounds(lower=nothing, upper=nothing, velocity=nothing, torque=nothing), Q, DQ, TAU)
     assert math.isnan(found["worst"])
@@ -86,7 +86,7 @@ def still(panda) -> Result:
     return simulate(panda, EosController(task, Hold(task.value(q))), q, duration=0.1)
 
 
-def test_a_run_tells_its_ratios_in_summary_table_caption_and_file(panda, still, tmp_path):
+def test_run_tells_its_ratios_in_summary_table_caption_and_file(panda, still, tmp_path):
     assert still.limits["torque"]["ratio"] == pytest.approx((np.abs(still.tau) / panda.effort).max())
     assert still.summary()["limits"]["told"].startswith("kept: position ")
     run = Result.load(pressed(still, panda).save(tmp_path / "run.npz"))
@@ -102,7 +102,7 @@ def test_a_run_tells_its_ratios_in_summary_table_caption_and_file(panda, still, 
     assert scene_of(run, panda).caption.endswith(f"; limits {told}")
 
 
-def test_a_run_of_an_earlier_version_has_no_ratios(still):
+def test_run_of_an_earlier_version_has_no_ratios(still):
     run = replace(still, info={key: value for key, value in still.info.items() if key != "limits"})
     assert math.isnan(run.summary()["limit_ratio_max"])
     run_table(run.summary())
@@ -117,7 +117,7 @@ def test_joints_without_dynamics_have_ratios_of_position_only(panda, still):
     assert limits_of(panda)["torque"] == panda.effort.tolist()
 
 
-def test_the_joints_panel_has_lines_at_limits_that_are_near(panda, still):
+def test_joints_panel_has_lines_at_limits_that_are_near(panda, still):
     def dashed(result: Result) -> set[float]:
         ax = Figure().add_subplot()
         plot_joints(ax, result, panda)

@@ -161,7 +161,7 @@ def test_mujoco_plant_agrees_in_closed_loop(panda, kind):
 
 
 @pytest.mark.slow
-def test_an_integrator_of_order_1_agrees_at_a_fine_step(panda):
+def test_integrator_of_order_1_agrees_at_a_fine_step(panda):
     controller, options = control(panda, "position"), {"duration": 10.0, "record_rate": 20.0}
     ours = simulate_sampled(panda, controller, REST, **options)
     euler = simulate_sampled(
@@ -171,7 +171,7 @@ def test_an_integrator_of_order_1_agrees_at_a_fine_step(panda):
 
 
 @pytest.mark.parametrize(("integrator", "order", "steps"), [("RK4", 4, (1, 2, 4)), ("Euler", 1, (4, 8, 16))])
-def test_the_difference_shrinks_with_the_step_at_the_order_of_the_integrator(panda, integrator, order, steps):
+def test_difference_shrinks_with_the_step_at_the_order_of_the_integrator(panda, integrator, order, steps):
     controller, plant = control(panda, "position"), MujocoPlant.from_robot(panda, integrator=integrator)
 
     def joints(plant, substeps):
@@ -205,7 +205,7 @@ def test_force_and_friction_act_there_too(panda):
     assert np.abs(run.q - ours.q).max() < 1e-4
 
 
-def test_the_continuous_run_takes_its_accelerations(panda):
+def test_continuous_run_takes_its_accelerations(panda):
     controller = control(panda, "position")
     ours, theirs = (simulate(plant, controller, REST, duration=2.0) for plant in (panda, MujocoPlant.from_robot(panda)))
     np.testing.assert_allclose(theirs.q, ours.q, atol=1e-7)
@@ -215,7 +215,7 @@ def test_the_continuous_run_takes_its_accelerations(panda):
 
 
 @pytest.mark.parametrize(("tau", "status"), [(1e12, "diverged"), (np.nan, "failed")])
-def test_a_run_away_ends_with_a_status_and_leaves_no_file(panda, tau, status, tmp_path, monkeypatch, capfd):
+def test_run_away_ends_with_a_status_and_leaves_no_file(panda, tau, status, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     push = OpenLoop(lambda t: np.full(7, tau if t > 0.01 else 0.0))
     run = simulate_sampled(MujocoPlant.from_robot(panda), push, REST, duration=1.0, torque_limits=False)

@@ -22,7 +22,7 @@ def test_everything_holds_on_a_random_chain(seed: int) -> None:
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_a_wrong_figure_is_noticed() -> None:
+def test_wrong_figure_is_noticed() -> None:
     figures = random_chains.examine(0)
     for name in random_chains.BOUNDS:
         assert replace(figures, **{name: np.nan}).wrong == (name,)

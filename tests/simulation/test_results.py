@@ -102,7 +102,7 @@ def assert_same(a, b):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_saved_run_comes_back_as_it_was(runs, tmp_path, kind):
+def test_saved_run_comes_back_as_it_was(runs, tmp_path, kind):
     path = runs[kind].save(tmp_path / "run.npz")
     again = Result.load(path)
     assert_same(again, runs[kind])
@@ -129,7 +129,7 @@ def test_residuals_show_what_has_been_tampered_with(runs, name):
     assert max(found.values()) > 1e-4
 
 
-def test_the_plant_is_found_again(runs, panda, tmp_path):
+def test_plant_is_found_again(runs, panda, tmp_path):
     run = Result.load(runs["continuous"].save(tmp_path / "run"))
     plant = run.load_plant()
     assert plant.n == 7
@@ -140,7 +140,7 @@ def test_the_plant_is_found_again(runs, panda, tmp_path):
     assert planar.residuals()["torque"] < 1e-12
 
 
-def test_a_plant_that_was_made_in_memory_has_to_be_handed_over(panda):
+def test_plant_that_was_made_in_memory_has_to_be_handed_over(panda):
     plant = panda.perturbed(mass=0.1)
     run = simulate(plant, OpenLoop(lambda t: np.zeros(7)), REST, duration=0.05)
     with pytest.raises(ResultError, match="made in memory"):
@@ -148,7 +148,7 @@ def test_a_plant_that_was_made_in_memory_has_to_be_handed_over(panda):
     assert run.residuals(plant)["torque"] < 1e-12
 
 
-def test_a_plant_that_has_changed_since_is_not_taken_for_the_same(runs):
+def test_plant_that_has_changed_since_is_not_taken_for_the_same(runs):
     run = runs["continuous"]
     info = run.info | {"robot": run.info["robot"] | {"urdf_sha256": "0" * 64}}
     with pytest.raises(ResultError, match="has changed since this run"):
@@ -228,7 +228,7 @@ def test_mean_is_over_whole_cycles():
     assert run.mean(run.kinetic_energy) == pytest.approx(0.5, abs=1e-5)
 
 
-def test_a_result_cannot_be_changed_or_be_lopsided(runs):
+def test_result_cannot_be_changed_or_be_lopsided(runs):
     run = runs["continuous"]
     with pytest.raises(ValueError, match="read-only"):
         run.q[0, 0] = 1.0
@@ -246,7 +246,7 @@ def test_save_adds_the_suffix_and_makes_the_folder(runs, tmp_path):
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt(), MemoryError()])
-def test_a_write_that_fails_leaves_the_old_file(runs, tmp_path, monkeypatch, error):
+def test_write_that_fails_leaves_the_old_file(runs, tmp_path, monkeypatch, error):
     path = runs["open loop"].save(tmp_path / "run.npz")
     before = path.read_bytes()
 
@@ -261,7 +261,7 @@ def test_a_write_that_fails_leaves_the_old_file(runs, tmp_path, monkeypatch, err
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_place_that_cannot_be_written(runs, tmp_path):
+def test_place_that_cannot_be_written(runs, tmp_path):
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(EosError, match="cannot write"):
         runs["open loop"].save(tmp_path / "file" / "run.npz")

@@ -93,7 +93,7 @@ def test_self_motion_goes_where_it_is_told_and_leaves_the_task_alone(panda):
     assert np.ptp(slow.v, axis=0).min() > 0.3
 
 
-def test_a_perturbed_plant_is_followed_badly_but_followed(panda, task):
+def test_perturbed_plant_is_followed_badly_but_followed(panda, task):
     plant = panda.perturbed(mass=0.2, com=0.2, inertia=0.2, seed=1)
     run = simulate(plant, EosController(task, eight(task), kp=400.0, kd=40.0), REST, duration=4.0, rtol=1e-6)
     assert run.ok
@@ -170,7 +170,7 @@ def test_trial_steps_beyond_the_edge_of_a_chart_do_not_end_a_run(panda, seed):
     assert np.abs(extended.q - joints.q).max() < 1e-5
 
 
-def test_a_rotation_by_more_than_half_a_turn_in_the_extended_space(panda):
+def test_rotation_by_more_than_half_a_turn_in_the_extended_space(panda):
     # The last joint turns the frame about its own axis, which wears no chart; but the coordinates of SO(3) end at π.
     task = PoseTask(panda, tip(panda))
     controller = Shaken(panda, REST, 0, size=0.0)
@@ -219,7 +219,7 @@ def test_chart_switches_cost_no_accuracy(ppr):
     assert exact.chart[-1] == len(exact.switches)
 
 
-def test_a_switch_is_recorded_where_the_margin_is_used_up(ppr):
+def test_switch_is_recorded_where_the_margin_is_used_up(ppr):
     controller = winding(ppr)
     run = simulate(ppr, controller, np.zeros(3), duration=3.0)
     charts = [0, *np.flatnonzero(np.diff(run.chart)) + 1]
@@ -366,7 +366,7 @@ LAWS = {
 
 
 @pytest.mark.parametrize("make", LAWS.values(), ids=LAWS)
-def test_a_path_out_of_reach_ends_the_run_and_keeps_what_was_computed(panda, make):
+def test_path_out_of_reach_ends_the_run_and_keeps_what_was_computed(panda, make):
     task = PositionTask(panda, tip(panda))
     path = line(task.value(REST), (0.8, 0.0, 0.0), period=4.0)
     run = simulate(panda, make(task, path), REST, duration=4.0, rtol=1e-6)
@@ -379,7 +379,7 @@ def test_a_path_out_of_reach_ends_the_run_and_keeps_what_was_computed(panda, mak
     assert run.summary()["status"] == run.status
 
 
-def test_a_sampled_run_out_of_reach_ends_too(panda):
+def test_sampled_run_out_of_reach_ends_too(panda):
     task = PositionTask(panda, tip(panda))
     path = line(task.value(REST), (0.8, 0.0, 0.0), period=4.0)
     run = simulate_sampled(panda, EosController(task, path, smooth=False), REST, duration=4.0, torque_limits=False)
@@ -389,7 +389,7 @@ def test_a_sampled_run_out_of_reach_ends_too(panda):
 
 @pytest.mark.parametrize("drive", [simulate, simulate_sampled])
 @pytest.mark.parametrize("period", [4.0, 1.0, 0.5])
-def test_a_path_out_of_reach_is_given_up_and_taken_up_again(panda, drive, period):
+def test_path_out_of_reach_is_given_up_and_taken_up_again(panda, drive, period):
     """However fast it leads through singularities, the joints never run away."""
     task = PositionTask(panda, tip(panda))
     z = task.value(REST)
@@ -404,7 +404,7 @@ def test_a_path_out_of_reach_is_given_up_and_taken_up_again(panda, drive, period
     assert np.abs(run.error[-1]).max() < 1e-6
 
 
-def test_the_torque_is_continuous_through_singularities_and_changes_of_chart(panda):
+def test_torque_is_continuous_through_singularities_and_changes_of_chart(panda):
     """What it changes by from one period to the next shrinks with the period; a jump would stay what it is."""
     task = PositionTask(panda, tip(panda))
     path = line(task.value(REST), (0.8, 0.0, 0.0), period=1.0)
@@ -420,7 +420,7 @@ def test_the_torque_is_continuous_through_singularities_and_changes_of_chart(pan
     assert largest(1.25e-4) < 0.3 * largest(5e-4)
 
 
-def test_the_extended_space_ends_where_no_chart_is(ur5):
+def test_extended_space_ends_where_no_chart_is(ur5):
     # Without redundancy nothing leads around a singular pose: the arm is driven straight through one.
     task = PoseTask(ur5, tip(ur5))
     q, dq = np.array([0.0, -0.5, 0.3, 0.5, 1.0, 0.0]), np.array([0.0, 0.0, -0.6, 0.0, 0.0, 0.0])
@@ -435,7 +435,7 @@ def test_the_extended_space_ends_where_no_chart_is(ur5):
 
 
 @pytest.mark.parametrize("method", ["DOP853", "LSODA"])
-def test_an_integrator_that_gives_up(ppr, method):
+def test_integrator_that_gives_up(ppr, method):
     run = simulate(ppr, OpenLoop(lambda t: ((1.0 - t) ** -2, 0.0, 0.0)), np.zeros(3), duration=2.0, method=method)
     assert run.status in ("diverged", "integration_failed", "stuck")
     assert 0.9 < run.t[-1] <= 1.0
@@ -455,7 +455,7 @@ def test_gains_too_high_for_the_period(panda):
 
 
 @pytest.mark.parametrize("drive", [simulate, simulate_sampled])
-def test_an_interrupted_run_is_kept(panda, drive):
+def test_interrupted_run_is_kept(panda, drive):
     task = PositionTask(panda, tip(panda))
 
     def observer(t, q):
@@ -478,7 +478,7 @@ def test_other_errors_of_a_users_code_are_not_swallowed(panda):
 
 
 @pytest.mark.parametrize("drive", [simulate, simulate_sampled])
-def test_a_singular_start_is_refused(ur5, drive):
+def test_singular_start_is_refused(ur5, drive):
     task = PoseTask(ur5, tip(ur5))
     straight = np.zeros(6)
     reference = task.hold(straight)

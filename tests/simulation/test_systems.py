@@ -108,7 +108,7 @@ def test_right_hand_sides_are_pure(panda, kind):
 
 
 @pytest.mark.parametrize("kind", TASKS)
-def test_a_switch_keeps_the_state_of_the_robot(panda, kind):
+def test_switch_keeps_the_state_of_the_robot(panda, kind):
     _, _, extended, x = systems(TASKS[kind](panda))
     (q, dq), old = extended.joints(x), extended.chart
     switched = extended.switch(0.0, x)
@@ -128,7 +128,7 @@ def test_task_force_does_the_work_of_the_task(panda):
     assert torque @ dq == pytest.approx(2.0 * force @ task.at(q, dq).dz, rel=1e-12)
 
 
-def test_a_controllers_chart_is_not_that_of_the_coordinates(panda):
+def test_controllers_chart_is_not_that_of_the_coordinates(panda):
     # Each is left on its own terms.
     task = PositionTask(panda, tip(panda))
     q, dq = random_state(panda, 5)

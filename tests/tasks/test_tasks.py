@@ -52,7 +52,7 @@ def test_derivatives_are_those_of_finite_differences(task, data):
 
 
 @every
-def test_the_three_passes_agree_and_their_results_stay(task):
+def test_three_passes_agree_and_their_results_stay(task):
     q, dq = checks.random_state(task.robot, 1)
     point, (z, J), value = task.at(q, dq), task.linearize(q), task.value(q)
     kept = [a.copy() for a in (*point, z, J, value)]
@@ -108,7 +108,7 @@ def test_centre_of_mass_is_the_mean_of_the_bodies_weighted_by_mass(name, data):
 
 
 @given(data=st.data())
-def test_a_relative_position_does_not_see_what_moves_both_frames(panda, data):
+def test_relative_position_does_not_see_what_moves_both_frames(panda, data):
     task = every_task(panda)["relative xyz"]
     q = data.draw(checks.joints(panda))
     before = panda.model.frames[panda.frame_id(task.reference)].parentJoint
@@ -117,7 +117,7 @@ def test_a_relative_position_does_not_see_what_moves_both_frames(panda, data):
     np.testing.assert_allclose(task.linearize(q)[1][:, :before], 0.0, atol=EXACT)
 
 
-def test_a_position_relative_to_the_base_is_a_position(panda):
+def test_position_relative_to_the_base_is_a_position(panda):
     q, dq = checks.random_state(panda)
     relative = RelativePositionTask(panda, "panda_hand_tcp", "universe").at(q, dq)
     for a, b in zip(relative, PositionTask(panda, "panda_hand_tcp").at(q, dq), strict=True):
@@ -202,7 +202,7 @@ def test_headings_differ_by_the_shorter_way(chain):
 # -- points as people write them -------------------------------------------------------------------------------------
 
 
-def test_a_pose_is_taken_in_any_of_its_forms(panda, unchecked):
+def test_pose_is_taken_in_any_of_its_forms(panda, unchecked):
     pose, placement = PoseTask(panda, "panda_hand_tcp"), pin.SE3.Random()
     flat = np.r_[placement.translation, placement.rotation.ravel()]
     for form in (placement, placement.homogeneous, placement.homogeneous.tolist(), flat, flat.tolist(), tuple(flat)):
@@ -220,7 +220,7 @@ def test_rounded_rotations_are_straightened(panda):
 
 
 @groups
-def test_the_points_of_a_task_are_points(task):
+def test_points_of_a_task_are_points(task):
     z = task.value(checks.random_state(task.robot)[0])
     np.testing.assert_allclose(task.point(z), z, atol=EXACT)
     np.testing.assert_allclose(task.point(z.tolist()), z, atol=EXACT)
@@ -256,7 +256,7 @@ def test_task_point_refuses_other_values(panda, kind, value, unchecked):
 
 
 @every
-def test_a_task_comes_back_from_its_description(task):
+def test_task_comes_back_from_its_description(task):
     q, dq = checks.random_state(task.robot)
     use_compiled = task_from_description(task.robot, json.loads(json.dumps(task.describe())))
     assert repr(use_compiled) == repr(task)
@@ -278,13 +278,13 @@ def test_a_task_comes_back_from_its_description(task):
         {"kind": "stacked", "tasks": []},
     ],
 )
-def test_a_foreign_description_is_refused(panda, description, unchecked):
+def test_foreign_description_is_refused(panda, description, unchecked):
     with pytest.raises(InputError):
         task_from_description(panda, description)
 
 
 @pytest.mark.parametrize("kind", [PositionTask, OrientationTask, PoseTask, HeadingTask])
-def test_an_unknown_frame_is_named_with_near_ones(panda, kind):
+def test_unknown_frame_is_named_with_near_ones(panda, kind):
     for make in (
         lambda: kind(panda, "panda_hand_tpc"),
         lambda: task_from_description(panda, {"kind": kind.kind, "frame": "tcp"}),
@@ -310,7 +310,7 @@ def test_every_subset_of_axes_picks_its_rows(panda, axes):
         np.testing.assert_allclose(a, b[rows], atol=EXACT)
 
 
-def test_a_task_has_no_more_coordinates_than_the_robot_has_joints(ppr):
+def test_task_has_no_more_coordinates_than_the_robot_has_joints(ppr):
     with pytest.raises(InputError, match=r"PoseTask.*has 6 coordinates, but 'ppr' only 3 joints"):
         PoseTask(ppr, "tip")
     position = PositionTask(ppr, "tip", "xy")
@@ -318,19 +318,19 @@ def test_a_task_has_no_more_coordinates_than_the_robot_has_joints(ppr):
         StackedTask([position, ComTask(ppr, "xy")])
 
 
-def test_a_stack_has_parts_of_one_robot(panda, ur5):
+def test_stack_has_parts_of_one_robot(panda, ur5):
     with pytest.raises(InputError, match="at least one"):
         StackedTask([])
     with pytest.raises(InputError, match="one Robot object"):
         StackedTask([ComTask(panda, "x"), ComTask(ur5, "y")])
 
 
-def test_a_heading_needs_a_planar_robot(panda):
+def test_heading_needs_a_planar_robot(panda):
     with pytest.raises(InputError, match="OrientationTask"):
         HeadingTask(panda, "panda_hand_tcp")
 
 
-def test_a_stack_is_its_parts_one_after_the_other(panda):
+def test_stack_is_its_parts_one_after_the_other(panda):
     parts = [OrientationTask(panda, "panda_hand_tcp"), PositionTask(panda, "panda_link4", "z")]
     stack = StackedTask(parts)
     q, dq = checks.random_state(panda)
@@ -351,7 +351,7 @@ def test_a_stack_is_its_parts_one_after_the_other(panda):
     ],
     ids=["position", "relative position", "centre of mass", "heading"],
 )
-def test_a_robot_of_one_joint_has_a_jacobian_of_one_column(make):
+def test_robot_of_one_joint_has_a_jacobian_of_one_column(make):
     # Pinocchio gives a vector where there is one column.
     inertial = '<inertial><origin xyz="0.2 0 0"/><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
     robot = load_robot(

@@ -306,7 +306,7 @@ def test_errors_in_a_csv_file_name_the_line(tmp_path, text, message):
         spline_from_csv(path)
 
 
-def test_a_csv_file_that_cannot_be_read(tmp_path):
+def test_csv_file_that_cannot_be_read(tmp_path):
     with pytest.raises(InputError, match=r"cannot read the path .*missing\.csv"):
         spline_from_csv(tmp_path / "missing.csv")
     (tmp_path / "binary.csv").write_bytes(b"\x80\x81\x00\x01")

@@ -58,7 +58,7 @@ FORMS = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_a_table_of_poses_is_read_as_people_write_it(tmp_path, form):
+def test_table_of_poses_is_read_as_people_write_it(tmp_path, form):
     found = read_waypoints(write(tmp_path, FORMS[form]))
     assert len(found) == 3
     np.testing.assert_array_equal(found.t, TIMES)
@@ -72,18 +72,18 @@ def test_a_table_of_poses_is_read_as_people_write_it(tmp_path, form):
     assert found.start == (1.7e9 if form == "epoch times" else 0.0)
 
 
-def test_a_table_in_utf_16_is_read(tmp_path):
+def test_table_in_utf_16_is_read(tmp_path):
     found = read_waypoints(write(tmp_path, FORMS["tabs"], encoding="utf-16"))
     np.testing.assert_allclose(found.rotation, TURNS.as_matrix(), atol=1e-14)
 
 
-def test_a_table_keeps_the_digits_of_epoch_times(tmp_path):
+def test_table_keeps_the_digits_of_epoch_times(tmp_path):
     times = [f"1700000000.{k:03d}000001" for k in range(4)]
     found = read_waypoints(write(tmp_path, "t x\n" + "\n".join(f"{t} 1" for t in times)))
     np.testing.assert_allclose(found.t, [0.0, 0.001, 0.002, 0.003], rtol=1e-15)
 
 
-def test_a_table_gives_only_what_it_has(tmp_path):
+def test_table_gives_only_what_it_has(tmp_path):
     found = read_waypoints(write(tmp_path, "y,x\n1,2\n3,4\n"))
     assert (found.t, found.rotation, found.heading, found.values) == (None, None, None, None)
     assert found.axes == "xy"
@@ -133,14 +133,14 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_a_table_is_refused_with_file_line_and_cause(tmp_path, case):
+def test_table_is_refused_with_file_line_and_cause(tmp_path, case):
     text, told = REFUSED[case]
     with pytest.raises(InputError, match=told) as error:
         read_waypoints(write(tmp_path, text))
     assert "path.csv" in str(error.value)
 
 
-def test_a_table_that_cannot_be_read(tmp_path, monkeypatch):
+def test_table_that_cannot_be_read(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"cannot read the path .*missing\.csv"):
         read_waypoints(tmp_path / "missing.csv")
     (tmp_path / "binary.csv").write_bytes(b"\x80\x81\x82")

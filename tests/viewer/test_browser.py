@@ -275,7 +275,7 @@ def visible(page: Page) -> str:
     return str(page.js("document.body.innerText") or "")
 
 
-def test_the_picture_is_there_when_the_page_has_loaded(replay: str, tmp_path: Path) -> None:
+def test_picture_is_there_when_the_page_has_loaded(replay: str, tmp_path: Path) -> None:
     """The command of the README, which takes a picture as soon as the page counts as loaded."""
     sizes = []
     for k in range(3):
@@ -290,7 +290,7 @@ def test_the_picture_is_there_when_the_page_has_loaded(replay: str, tmp_path: Pa
     assert min(sizes) > 0.05
 
 
-def test_the_page_unpacks_what_python_has_packed(chromium: Chromium, replay: str) -> None:
+def test_page_unpacks_what_python_has_packed(chromium: Chromium, replay: str) -> None:
     page = chromium.open(f"{replay}#paused")
     random = np.random.default_rng(0)
     noise = random.bytes(70_000)
@@ -316,7 +316,7 @@ def test_the_page_unpacks_what_python_has_packed(chromium: Chromium, replay: str
     page.close()
 
 
-def test_a_page_that_is_still_coming_says_so(chromium: Chromium, replay: str) -> None:
+def test_page_that_is_still_coming_says_so(chromium: Chromium, replay: str) -> None:
     text = Path(url2pathname(urlsplit(replay).path)).read_bytes()
     go_on = threading.Event()
 
@@ -349,7 +349,7 @@ def test_a_page_that_is_still_coming_says_so(chromium: Chromium, replay: str) ->
 
 
 @pytest.mark.parametrize("part", [0.2, 0.6, 0.95, 0.9999])
-def test_a_file_that_was_cut_off_says_so(chromium: Chromium, replay: str, part: float, tmp_path: Path) -> None:
+def test_file_that_was_cut_off_says_so(chromium: Chromium, replay: str, part: float, tmp_path: Path) -> None:
     text = Path(url2pathname(urlsplit(replay).path)).read_bytes()
     cut = tmp_path / "cut.html"
     cut.write_bytes(text[: min(int(part * len(text)), len(text) - 40)])
@@ -360,7 +360,7 @@ def test_a_file_that_was_cut_off_says_so(chromium: Chromium, replay: str, part: 
     page.close()
 
 
-def test_a_browser_without_webgl_is_told_what_to_do(chromium: Chromium, replay: str) -> None:
+def test_browser_without_webgl_is_told_what_to_do(chromium: Chromium, replay: str) -> None:
     none = "HTMLCanvasElement.prototype.getContext = () => null;"
     page = chromium.open(replay, before=(("Page.addScriptToEvaluateOnNewDocument", {"source": none}),))
     assert page.js("document.body.dataset.state") == "failed"
@@ -372,7 +372,7 @@ def test_a_browser_without_webgl_is_told_what_to_do(chromium: Chromium, replay: 
     page.close()
 
 
-def test_a_browser_whose_graphics_are_reset_says_so(chromium: Chromium, replay: str) -> None:
+def test_browser_whose_graphics_are_reset_says_so(chromium: Chromium, replay: str) -> None:
     page = chromium.open(f"{replay}#paused")
     page.js(
         "document.querySelector('#view canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
@@ -381,7 +381,7 @@ def test_a_browser_whose_graphics_are_reset_says_so(chromium: Chromium, replay: 
     page.close()
 
 
-def test_a_browser_without_scripts_says_so(chromium: Chromium, replay: str) -> None:
+def test_browser_without_scripts_says_so(chromium: Chromium, replay: str) -> None:
     off = (("Emulation.setScriptExecutionDisabled", {"value": True}),)
     page = chromium.open(replay, before=off, wait=False)
     wait_for(lambda: "JavaScript" in visible(page), 20.0)
@@ -390,7 +390,7 @@ def test_a_browser_without_scripts_says_so(chromium: Chromium, replay: str) -> N
 
 
 @pytest.mark.parametrize("live", [False, True])
-def test_a_narrow_screen_has_all_controls(chromium: Chromium, replay: str, live: bool) -> None:
+def test_narrow_screen_has_all_controls(chromium: Chromium, replay: str, live: bool) -> None:
     narrow = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": False}
     page = chromium.open(f"{replay}#paused", before=(("Emulation.setDeviceMetricsOverride", narrow),))
     page.js(f"document.getElementById('live').hidden = {str(not live).lower()}")

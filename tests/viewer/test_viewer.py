@@ -139,7 +139,7 @@ def test_solids_have_their_volume(a: float, b: float, c: float) -> None:
         np.testing.assert_allclose(mesh.vertices.max(axis=0), shape.aabb_local.max_, atol=0.02 * max(a, b, c))
 
 
-def test_a_half_space_cannot_be_drawn(ppr: Robot) -> None:
+def test_half_space_cannot_be_drawn(ppr: Robot) -> None:
     with pytest.raises(ViewerError, match="Halfspace cannot be drawn"):
         Scene(ppr, obstacles=(Obstacle(coal.Halfspace(), [0, 0, 0]),)).pack(np.zeros(1), np.zeros((1, 3)))
 
@@ -245,7 +245,7 @@ def test_file_is_replaced_whole_or_not_at_all(ppr: Robot, tmp_path: Path, monkey
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_folder_is_made_and_what_cannot_be_written_is_said(ppr: Robot, tmp_path: Path) -> None:
+def test_folder_is_made_and_what_cannot_be_written_is_said(ppr: Robot, tmp_path: Path) -> None:
     assert write_html(tmp_path / "new" / "run.html", Scene(ppr), [0.0], np.zeros((1, 3))).exists()
     with pytest.raises(OutputError, match="cannot write"):
         write_html(tmp_path, Scene(ppr), [0.0], np.zeros((1, 3)))
