@@ -29,7 +29,7 @@ WORDS = {
     "along:traditional": "traditional control with posture",
     "inverse:": "steps of one",
     "inverse:atlas": "chart after chart",
-    "inverse:solve": "continuation, via points or search",
+    "inverse:solve": "its default, search first",
     "inverse:search": "search",
     "inverse:chart": "one chart",
     "inverse:chart, constant B": "one chart, constant B",

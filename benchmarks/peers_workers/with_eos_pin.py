@@ -85,7 +85,7 @@ def build(problem: Problem) -> Mapping[str, Call]:
         def solve(given: np.ndarray) -> np.ndarray:
             start, target = problem.split(given)
             z = target if problem.whole else target[:3, 3]
-            return atlas.solve(start, z, chart=chart, strategies=strategies, tol=problem.tol).q
+            return atlas.solve(start, z, strategies=strategies, tol=problem.tol).q
 
         return solve
 

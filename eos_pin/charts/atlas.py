@@ -166,18 +166,19 @@ class Atlas(Checked):
     ) -> IkSolution:
         """Joints at one task point, near or far.
 
-        Continuation along the straight line in (z, v) comes first, as `follow` does it. Where a singularity or the edge
-        of the robot's reach is on that line, continuation goes via the task points of other postures. Where this fails
-        too, or the joints end beyond their limits, a search looks for joints within them, from q and then from other
-        postures. Joints beyond their limits are the last resort, those that a motion leads to before others.
+        A search looks for joints within their limits, from q and then from other postures; that is quickest. Where it
+        finds none, or a motion is asked for by `v`, `chart` or more than one of `points`, continuation follows the
+        straight line in (z, v), as `follow` does it, and goes via the task points of other postures where a singularity
+        or the edge of the robot's reach is on that line. Joints beyond their limits are the last resort, those that a
+        motion leads to before others.
 
         Args:
             q: Joints to start from.
             z: Task point, in any form that `Task.point` takes, such as a `pin.SE3` for a pose.
             v: Self-motion coordinates there; by default their value at q. A search cannot keep them.
             chart: First chart; by default the one based at q, where v is 0.
-            strategies: Methods to try. By default all, but no search where v is given; `["continuation"]` finds only
-                joints that are connected along the straight line, `["search"]` any joints, and is quickest.
+            strategies: Methods to try; a search comes first where it is named first. By default all, but no search
+                where v is given; `["continuation"]` finds only joints that are connected along the straight line.
             points: Points of the path that is returned, on each of its straight lines.
             tries: Other postures to search from.
             seed: Seed of these postures, and of those that continuation goes via; the same seed gives the same joints.
@@ -188,7 +189,9 @@ class Atlas(Checked):
         """
         q, z = self.task.robot.posture(q), self.task.point(z)
         if strategies is None:
-            strategies = STRATEGIES if v is None else STRATEGIES[:2]
+            # A search is many times as quick, but tells no motion.
+            motion = chart is not None or points > 1
+            strategies = STRATEGIES[:2] if v is not None else STRATEGIES if motion else ("search", *STRATEGIES[:2])
         if not strategies or not set(strategies) <= set(STRATEGIES):
             raise InputError(f"strategies must be some of {', '.join(STRATEGIES)}, got {strategies!r}")
         v = None if v is None else vector(v, q.size - self.task.m, "v")

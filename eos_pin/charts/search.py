@@ -72,6 +72,10 @@ class Search:
     def _attempts(self, strategies: Sequence[Strategy]) -> Iterator[IkSolution]:
         """Solutions by one strategy after the other."""
         robot, connected = self.task.robot, False
+        within, anything = (robot.lower, robot.upper), (np.full(robot.n, -np.inf), np.full(robot.n, np.inf))
+        searched = strategies[0] == "search"
+        if searched:
+            yield self._search(within)
         if "continuation" in strategies:
             yield (attempt := self._continue("continuation", [self.z]))
             connected = attempt.found
@@ -82,11 +86,10 @@ class Search:
                 yield (attempt := self._continue("via", [self.task._value(posture), self.z]))
                 connected = attempt.found
         if "search" in strategies:
-            anything = np.full(robot.n, np.inf)
-            for bounds in ((robot.lower, robot.upper), (-anything, anything)):
-                yield self._search(bounds)
-                if connected:
-                    break
+            if not searched:
+                yield self._search(within)
+            if not connected:
+                yield self._search(anything)
 
     def _continue(self, strategy: Strategy, corners: Sequence[Point]) -> IkSolution:
         """Follow straight lines from q through the corners."""
