@@ -12,6 +12,7 @@ from eos_pin.experiments.options import ControlOptions
 
 if TYPE_CHECKING:
     from eos_pin.control.following import FollowJoints
+    from eos_pin.planning.obstacles.clearance import Obstacle
     from eos_pin.planning.plans import Plan
     from eos_pin.robot.model import Robot
     from eos_pin.simulation.result import Result
@@ -50,6 +51,16 @@ def made_plan(task: Task, path: Trajectory, start: JointVector | None, control: 
     from eos_pin.planning.planner import plan
 
     return _followed(plan(task, path, start=start, seed=seed), None, control)
+
+
+def obstacles_in(file: Path | None) -> list[Obstacle]:
+    """Solids of a scene file as a replay shows them; none without a file."""
+    if file is None:
+        return []
+    from eos_pin.planning.obstacles.scene import read_scene
+    from eos_pin.viewer.solids import obstacles_of
+
+    return obstacles_of(read_scene(file))
 
 
 def _followed(plan: Plan, q0: JointVector | None, control: ControlOptions) -> Planned:

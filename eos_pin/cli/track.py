@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eos_pin.cli.follow import Planned, loaded_plan, made_plan, repeat_note
+from eos_pin.cli.follow import Planned, loaded_plan, made_plan, obstacles_in, repeat_note
 from eos_pin.cli.output import (
     Output,
     console,
@@ -44,6 +44,7 @@ def track(
     simulation: RunOptions = RunOptions(),
     output: Output = Output(),
     plan: Path | None = None,
+    scene: Path | None = None,
 ) -> int:
     """Make a robot follow a path under EOS control; print, save and replay what happened.
 
@@ -57,6 +58,7 @@ def track(
         simulation: How it is simulated.
         output: What to keep.
         plan: Plan to follow (.npz), made by `eos-pin plan` for this robot; it has its own task and path.
+        scene: File of solids to show in the replay, as `eos-pin plan` has it; the robot does not avoid them by itself.
 
     For example:
 
@@ -70,6 +72,7 @@ def track(
     check_options(path, control, simulation, seed=output.seed)
     machine = robot.load()
     say_notes(machine)
+    solids = obstacles_in(scene)
     motion: Planned | None = None
     if plan is not None:
         motion = loaded_plan(machine, plan, task.make(machine)[1] if task.q0 else None, control)
@@ -95,7 +98,7 @@ def track(
     note = "" if motion else repeat_note(machine, result, control.self_motion)
     if note:
         stderr.print(note, soft_wrap=True)
-    print_files(write_outputs(files, result, machine, figures=summary))
+    print_files(write_outputs(files, result, machine, figures=summary, obstacles=solids))
     return 0 if result.ok else 1
 
 

@@ -488,9 +488,23 @@ def test_track_follows_a_plan_and_reports_its_distance(tmp_path, round_trip, cap
     file, figures = round_trip.save(tmp_path / "plan.npz"), tmp_path / "track.json"
     assert main(["track", "panda", "--plan", str(file), "--duration", "0.5", "--json", str(figures)]) == 0
     assert json.loads(figures.read_text())["joint_distance"]["max"] < 1e-6
-    assert "distance of a joint from the plan" in capsys.readouterr().err
+    assert "joints off the plan, at most" in capsys.readouterr().out
     assert main(["track", "xarm7", "--plan", str(file)]) == 2
     assert "other joints" in capsys.readouterr().err
+
+
+def test_replay_of_a_tracked_plan_shows_the_solids_of_its_scene(tmp_path, round_trip, monkeypatch):
+    from eos_pin.cli.main import main
+    from eos_pin.viewer import viewer
+
+    shown = []
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(viewer, "write_html", lambda file, scene, *rest: shown.append(scene) or file)
+    scene = tmp_path / "scene.yaml"
+    scene.write_text("boxes:\n  - {centre: [0.9, 0.9, 0.4], size: [0.1, 0.1, 0.1], name: crate}\n")
+    file = round_trip.save(tmp_path / "plan.npz")
+    assert main(["track", "panda", "--plan", str(file), "--duration", "0.1", "--scene", str(scene)]) == 0
+    assert [obstacle.name for obstacle in shown[0].obstacles] == ["crate"]
 
 
 def test_track_tells_that_held_self_motion_will_not_repeat(tmp_path, capsys, monkeypatch):
