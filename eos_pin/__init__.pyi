@@ -83,6 +83,7 @@ from .tasks import ComTask as ComTask
 from .tasks import DistanceTask as DistanceTask
 from .tasks import HeadingTask as HeadingTask
 from .tasks import JointTask as JointTask
+from .tasks import LookAtTask as LookAtTask
 from .tasks import OrientationTask as OrientationTask
 from .tasks import PointAxisTask as PointAxisTask
 from .tasks import PoseTask as PoseTask

@@ -3,6 +3,7 @@ from .axis import PointAxisTask as PointAxisTask
 from .base import Task as Task
 from .base import TaskPoint as TaskPoint
 from .joints import JointTask as JointTask
+from .look_at import LookAtTask as LookAtTask
 from .orientation import HeadingTask as HeadingTask
 from .orientation import OrientationTask as OrientationTask
 from .orientation import PoseTask as PoseTask

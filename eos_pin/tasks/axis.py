@@ -39,7 +39,7 @@ class AxisTask(Task, kind="axis"):
         InputError: No axis.
     """
 
-    arguments = ("frame", "axis")
+    arguments: tuple[str, ...] = ("frame", "axis")
     is_curved = True
     _needs_frames = False
 

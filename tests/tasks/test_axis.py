@@ -14,7 +14,9 @@ from eos_pin import (
     EosController,
     Hold,
     InputError,
+    LookAtTask,
     PointAxisTask,
+    SingularError,
     make_task,
     simulate,
     simulate_extended,
@@ -111,3 +113,20 @@ def test_tool_axis_is_taken_by_name_and_by_numbers(ur5):
         np.testing.assert_allclose(task.value(q)[3:], column, atol=10 * EXACT)
         pose = ur5.placement(q, "tool0")
         np.testing.assert_allclose(task.point(pin.SE3(pose)), task.value(q), atol=10 * EXACT)
+
+
+def test_look_at_turns_the_axis_to_the_point(ur5):
+    q, centre = np.array([0.3, -1.2, 1.4, -0.8, -1.3, 0.2]), np.array([0.9, 0.5, 0.1])
+    task = LookAtTask(ur5, "tool0", centre, "x")
+    controller = EosController(task, task.aim(), kp=25.0, kd=10.0)
+    run = simulate(ur5, controller, q, duration=4.0, record_rate=1.0)
+    end = ur5.placement(run.q[-1], "tool0")
+    np.testing.assert_allclose(angle_between(end.rotation[:, 0], centre - end.translation), 0.0, atol=1e-6)
+
+
+def test_look_at_from_the_point_itself_is_refused(ur5):
+    q, dq = checks.random_state(ur5)
+    task = LookAtTask(ur5, "tool0", ur5.placement(q, "tool0").translation)
+    for call in (lambda: task.value(q), lambda: task.linearize(q), lambda: task.at(q, dq)):
+        with pytest.raises(SingularError, match="no direction"):
+            call()
