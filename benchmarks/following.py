@@ -55,7 +55,7 @@ from eos_pin.trajectories.through import waypoint_path
 #: Robots and the frame that does the task; of some the tip that the package finds.
 ARMS = {"panda": "panda_hand_tcp", "xarm7": "auto", "kinova": "auto", "talos_full_v2": "gripper_left_base_link"}
 SHAPES = ("circle", "eight", "polygon")
-#: A round repeats where no joint comes back further off than this [rad]; and way points of a path.
+#: A round repeats where no joint comes back further off than this, and limits are kept up to it [rad]; way points.
 REPEATS, POINTS = 1e-6, 96
 ROUNDS, THRESHOLD = 2, 0.5
 #: A path is followed to this [m, rad]; and steps of Pink in a round.
@@ -129,10 +129,13 @@ def reachable(manifold: Manifold, points: np.ndarray, q: np.ndarray, lower: np.n
 
 def judged(q: np.ndarray, drift: np.ndarray, error: float, robot: Robot) -> dict[str, Any]:
     """Whether joints stay within limits, follow the path, and repeat from the first round on."""
-    inside = bool(((q >= robot.lower) & (q <= robot.upper)).all())
+    beyond = float(np.maximum(robot.lower - q, q - robot.upper).max())
+    inside = beyond <= REPEATS
     whole = len(drift) == ROUNDS and error < FOLLOWS
     repeats = bool(inside and whole and drift.max() <= REPEATS)
-    return {"inside": inside, "repeats": repeats, "drift": [float(d) for d in drift], "task_error": error}
+    return {
+        "inside": inside, "repeats": repeats, "drift": [float(d) for d in drift], "task_error": error, "beyond": beyond
+    }  # fmt: skip
 
 
 def pink(found: Plan) -> dict[str, Any]:
