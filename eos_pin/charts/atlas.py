@@ -160,7 +160,7 @@ class Atlas(Checked):
         chart: Chart | None = None,
         strategies: Sequence[Strategy] | None = None,
         points: int = 1,
-        tries: int = 100,
+        tries: int = 500,
         seed: int = 0,
         tol: float = 1e-10,
     ) -> IkSolution:
