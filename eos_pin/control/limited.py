@@ -167,7 +167,8 @@ class JointLimits:
         Both change continuously with the state. At the distance s from its limit a joint may move towards it at the
         speed V(s) = √(2 b s + c²) − c, c = b/ρ: far away that is what the braking deceleration b just stops there, near
         it ρ s. Where a ≤ ρ (V − v) − V' v a speed v below V(s) stays below, and because V V' ≤ b no more than b is ever
-        needed. ρ is `RATE`. Beyond the limit V = ρ s / (1 + ρ |s| / v), v its velocity limit: there is no hurry back.
+        needed. ρ is `RATE`. Beyond the limit V = ρ s / (1 + ρ |s| / v), v its velocity limit: there is no hurry
+        back. Of both limits a small room is left, `ROOM` and `SPEED_ROOM`.
 
         Args:
             q: Joints.
