@@ -2,6 +2,8 @@
 
     python benchmarks/kinematic_loop.py tracking            task and self-motion errors of an ideal robot
     python benchmarks/kinematic_loop.py limits --runs 1000  the largest use of every limit in random runs
+    python benchmarks/kinematic_loop.py orders --runs 100   a moved reference within its bounds, ten orders a run
+    python benchmarks/kinematic_loop.py stops --runs 200    stops on the path at random instants
     python benchmarks/kinematic_loop.py peers               steps and joints after each round, in one run
 
 Results are printed and written as JSON (--out). The peers' environments come from `benchmarks/peers.py setup`.
@@ -21,8 +23,10 @@ import tyro
 from peers import PEERS, WORKERS, installed
 from setting import Setting
 
-from eos_pin import Damp, JointLimits, KinematicLoop, Posture, SingularError, Track, load_robot
+from eos_pin import Damp, JointLimits, KinematicLoop, Posture, SetPoint, SingularError, Track, load_robot
+from eos_pin._arrays import JointVector
 from eos_pin.experiments.defaults import fitting_path, make_task, rest_posture
+from eos_pin.tasks.base import Point, Task
 
 ROBOTS = ("ur5", "xarm7", "kinova")
 #: Time after which an error at the start has decayed to rounding with the usual gains [s].
@@ -84,6 +88,61 @@ def limits(runs: int) -> dict[str, Any]:
     )
 
 
+def orders(runs: int) -> dict[str, Any]:
+    """Ratios to the bounds of a moved reference, with ten random orders at random times in each run."""
+    robot = load_robot("xarm7", chain_to="auto")
+    task = make_task(robot, "position")
+    start, h, bounds = task.value(rest_posture(task)), 0.004, (0.5, 2.0, 20.0)
+    worst = np.zeros(3)
+    for seed in range(runs):
+        random = np.random.default_rng(seed)
+        point = SetPoint(task, start, velocity=bounds[0], acceleration=bounds[1], jerk=bounds[2], stale=0.5)
+        due = np.cumsum(random.uniform(0.0, 0.5, 10)).tolist()
+        last = point(0.0)
+        for k in range(1, round(5.0 / h)):
+            while due and due[0] <= k * h:
+                order = (point.move_to, point.drive)[random.integers(2)]
+                order(
+                    start + random.uniform(-0.3, 0.3, 3) if order == point.move_to else random.uniform(-1, 1, 3),
+                    due.pop(0),
+                )
+            now = point(k * h)
+            jerk = np.abs(now.ddz - last.ddz).max() / h
+            use = np.abs(now.dz).max(), np.abs(now.ddz).max(), jerk
+            worst, last = np.maximum(worst, np.divide(use, bounds)), now
+    return {"orders": 10 * runs} | dict(zip(("velocity", "acceleration", "jerk"), worst.tolist(), strict=True))
+
+
+def stops(runs: int) -> dict[str, Any]:
+    """Distance from the path, ratio to the acceleration limits and speed left, within a second after a stop."""
+    robot = load_robot("xarm7", chain_to="auto")
+    task = make_task(robot, "position")
+    q, h = rest_posture(task), 0.008
+    path = fitting_path(task, q, shape="circle", period=4.0)
+    kept = JointLimits.without_torques(robot)
+    points = np.array([path(s).z for s in (0.0, 4.0 / 3.0, 8.0 / 3.0)])
+    center, radius = points.mean(axis=0), float(np.linalg.norm(points[0] - points.mean(axis=0)))
+    worst, slowest = np.zeros(3), 0
+    for seed in range(runs):
+        loop, joints, dq = KinematicLoop(task, path, control_period=h, limits=kept), q, np.zeros(robot.n)
+        at = 400 + int(np.random.default_rng(seed).integers(500))
+        for k in range(at + 125):
+            if k == at:
+                loop.pace = 0.0
+            command = loop.step(k * h, joints)
+            if k >= at:
+                off = abs(float(np.linalg.norm(task.value(command.q) - center)) - radius)
+                use = float((np.abs(command.dq - dq) / h / kept.acceleration).max())
+                worst = np.maximum(worst, (off, use, 0.0))
+                if np.abs(command.dq).max() > 1e-6:
+                    slowest = max(slowest, k + 1 - at)
+            joints, dq = command
+        worst[2] = max(worst[2], float(np.abs(dq).max()))
+    return {"stops": runs, "longest_stop_s": slowest * h} | dict(
+        zip(("off_path_m", "acceleration_ratio", "speed_left"), worst.tolist(), strict=True)
+    )
+
+
 def peers(rounds: int = 3, period: float = 0.002) -> dict[str, Any]:
     """Medians of steps, and drift of the joints in each round, on one path within the same limits."""
     found: dict[str, Any] = {}
@@ -102,7 +161,8 @@ def peers(rounds: int = 3, period: float = 0.002) -> dict[str, Any]:
                 times.append((time.process_time_ns() - start) / 1e3)
                 if (k + 1) % count == 0:
                     ends.append(joints.tolist())
-            found[f"{name} eos_pin"] = _told(float(np.median(times)), ends)
+            goal = path(path.period).z
+            found[f"{name} eos_pin"] = _told(float(np.median(times)), ends, task, q, goal)
             pose = np.array(setting.placement(q))
             placements = []
             for k in range(count):
@@ -115,7 +175,10 @@ def peers(rounds: int = 3, period: float = 0.002) -> dict[str, Any]:
                 "acceleration": kept.acceleration.tolist(), "placements": placements, "rounds": rounds,
             }  # fmt: skip
             for key in ("pink", "mink", "placo"):
-                found[f"{name} {key}"] = _peer(key, given)
+                said = _peer(key, given)
+                if "trouble" not in said:
+                    said = _told(said["median"], said["joints"], task, q, goal)
+                found[f"{name} {key}"] = said
     return found
 
 
@@ -128,17 +191,21 @@ def _peer(key: str, given: dict[str, Any]) -> dict[str, Any]:
     )  # fmt: skip
     if done.returncode:
         return {"trouble": done.stderr.strip().splitlines()[-1]}
-    said = json.loads(done.stdout)
-    return _told(said["median"], said["joints"])
+    said: dict[str, Any] = json.loads(done.stdout)
+    return said
 
 
-def _told(median: float, ends: list[list[float]]) -> dict[str, Any]:
-    drift = np.abs(np.diff(ends, axis=0)).max(axis=1)
-    return {"step_us": median, "drift_per_round": drift.tolist()}
+def _told(median: float, ends: list[list[float]], task: Task, q: JointVector, goal: Point) -> dict[str, Any]:
+    """Time of a step, task error at the end of rounds after the first, and drift of every round."""
+    error = max(float(np.abs(task.minus(goal, task.value(row))).max()) for row in np.array(ends[1:]))
+    drift = np.abs(np.diff([q.tolist(), *ends], axis=0)).max(axis=1)
+    return {"step_us": median, "task_error": error, "drift_per_round": drift.tolist()}
 
 
 def main(
-    what: tyro.conf.Positional[Literal["tracking", "limits", "peers"]], runs: int = 100, out: Path | None = None
+    what: tyro.conf.Positional[Literal["tracking", "limits", "orders", "stops", "peers"]],
+    runs: int = 100,
+    out: Path | None = None,
 ) -> None:
     """Measure one thing.
 
@@ -147,7 +214,10 @@ def main(
         runs: Number of random runs.
         out: File for the results.
     """
-    found = limits(runs) if what == "limits" else {"tracking": tracking, "peers": peers}[what]()
+    if what in ("tracking", "peers"):
+        found = {"tracking": tracking, "peers": peers}[what]()
+    else:
+        found = {"limits": limits, "orders": orders, "stops": stops}[what](runs)
     for name, value in found.items():
         print(name, value)
     if out is not None:
