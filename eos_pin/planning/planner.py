@@ -32,7 +32,7 @@ from eos_pin.trajectories.base import Trajectory
 MARGIN = 0.01
 #: Postures in a layer by redundancy; three and more have the last.
 POSTURES = (60, 100, 240, 120)
-#: Ways through the layers that are refined.
+#: Ways through the layers that are refined; twice as many where local minima abound: closed, two redundant joints.
 STRATEGIES = 4
 #: How many times the points of a path are doubled where the joints between them are not clear.
 FINER = 2
@@ -134,7 +134,8 @@ def plan(
     if grid.closed and end is not None:
         raise InputError("a closed path ends where it begins; give its start, not its end")
     ends = given(start, task, grid.Z[0], "start"), given(end, task, grid.Z[-1], "end")
-    search = _Search(problem, grid, step, ends, reconfigurations, seed, progress, STRATEGIES)
+    most = STRATEGIES * (2 if grid.closed and problem.r > 1 else 1)
+    search = _Search(problem, grid, step, ends, reconfigurations, seed, progress, most)
     status = "planned"
     refused: PlanError | None = None
     try:
