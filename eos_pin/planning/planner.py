@@ -134,8 +134,8 @@ def plan(
     if grid.closed and end is not None:
         raise InputError("a closed path ends where it begins; give its start, not its end")
     ends = given(start, task, grid.Z[0], "start"), given(end, task, grid.Z[-1], "end")
-    most = STRATEGIES * (2 if grid.closed and problem.r > 1 else 1)
-    search = _Search(problem, grid, step, ends, reconfigurations, seed, progress, most)
+    ways = STRATEGIES * (2 if grid.closed and problem.r > 1 else 1)
+    search = _Search(problem, grid, step, ends, reconfigurations, seed, progress, ways)
     status = "planned"
     refused: PlanError | None = None
     try:
@@ -377,8 +377,7 @@ class _Search:
 
         def solve(change: Change, deadline: Deadline) -> Array | None:
             ends = self.start, self.end
-            search = _Search(change.problem, self.grid, self.step, ends, change.jumps, self.seed, deadline, 2)
-            return search.run(1)
+            return _Search(change.problem, self.grid, self.step, ends, change.jumps, self.seed, deadline, 2).run(1)
 
         helpful, useless = tried(changes, solve, spent)
         if helpful:
