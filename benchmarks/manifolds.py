@@ -222,8 +222,8 @@ def _compare(arm: Arm, worker: Worker, pose: list[float], rows: np.ndarray, mani
         return
     others = [c for i, c in enumerate(manifold.components) if i not in found]
     asked = [[*pose, *q] for component in others for q in component.curve.q[::10]]
-    located = all(answer == [1.0] for answer in worker.run("manifold:located", asked, 0)["answers"])
-    arm.confirmed += located and _found_by_pinocchio(manifold, pin.SE3(np.reshape(pose, (4, 4))))
+    known = all(answer == [1.0] for answer in worker.run("manifold:located", asked, 0)["answers"])
+    arm.confirmed += known and _found_by_pinocchio(manifold, pin.SE3(np.reshape(pose, (4, 4))))
 
 
 def _found_by_pinocchio(manifold: SelfMotionManifold, goal: pin.SE3) -> bool:
