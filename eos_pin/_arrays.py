@@ -13,9 +13,12 @@ import functools
 import inspect
 import math
 import operator
+import os
+import sys
 import types
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -36,15 +39,17 @@ VectorLike: TypeAlias = Sequence[float] | np.ndarray
 
 
 class Above(NamedTuple):
-    """Range of a number: greater than `least`, or at least that."""
+    """Range of a number: greater than `least`, or at least that; infinite only where `endless`."""
 
     least: float
     reached: bool = False
+    endless: bool = False
 
 
 #: Numbers of a range, for annotations that `checked` reads.
 Positive: TypeAlias = Annotated[float, Above(0.0)]
 NonNegative: TypeAlias = Annotated[float, Above(0.0, reached=True)]
+PositiveOrInfinite: TypeAlias = Annotated[float, Above(0.0, endless=True)]
 
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
@@ -75,7 +80,10 @@ def is_finite(array: Array) -> bool:
 
 def frozen_copy(array: Array, kind: type = float) -> Array:
     """Read-only copy of `array`, by default of floats; later writes to the original do not reach it."""
-    copy: Array = np.array(array, dtype=kind)
+    try:
+        copy: Array = np.array(array, dtype=kind)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"numbers are needed, got {array!r}") from error
     copy.flags.writeable = False
     return copy
 
@@ -90,6 +98,29 @@ def as_floats(values: VectorLike | Sequence[VectorLike] | float, name: str) -> A
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} must be numbers, got {values!r}") from error
+
+
+def listed(values: Any, name: str) -> list[Any]:
+    """List of what a caller gives as several things.
+
+    Raises:
+        InputError: It is one thing.
+    """
+    if isinstance(values, (str, bytes)) or not isinstance(values, Iterable):
+        raise InputError(f"{name} must be a list, got {values!r}")
+    return list(values)
+
+
+def pair(values: Any, name: str) -> list[Any]:
+    """Like `listed`, of two things.
+
+    Raises:
+        InputError: They are not two.
+    """
+    two = listed(values, name)
+    if len(two) != 2:
+        raise InputError(f"{name} must be two, the least and the largest, got {len(two)}")
+    return two
 
 
 def vector(values: VectorLike | float, size: int | None, name: str) -> Vector:
@@ -245,9 +276,15 @@ def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
 
 def _hint(annotation: Any, names: dict[str, Any]) -> Any:
     """The type that an annotation names; None for one that only a type checker can read."""
+    if not isinstance(annotation, str):
+        return annotation
     try:
-        return eval(annotation, names) if isinstance(annotation, str) else annotation
-    except (NameError, TypeError):
+        return eval(annotation, names)
+    except NameError as error:
+        # A module that imports a public name for type checkers only.
+        public = getattr(sys.modules["eos_pin"], str(error.name), None)
+        return None if public is None else _hint(annotation, {**names, str(error.name): public})
+    except TypeError:
         return None
 
 
@@ -256,13 +293,21 @@ def _check(name: str, hint: Any, default: Any) -> Callable[[Any, Sequence[Any]],
     choices = typing.get_args(hint)
     if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
         others = [choice for choice in choices if choice is not type(None)]
-        check = _check(name, others[0], default) if len(others) == 1 else None
-        return check and (lambda value, known: value if value is None else check(value, known))
+        check = _either(name, others) if len(others) > 1 else _check(name, others[0], default)
+        if check is None or len(others) == len(choices):
+            return check
+        return lambda value, known: value if value is None else check(value, known)
+    if hint is bool:
+        return lambda value, known: _truth(value, name)
+    if (origin := typing.get_origin(hint)) in _SEVERAL:
+        return lambda value, known: _several(value, name, origin, choices)
+    if origin is Callable:
+        return lambda value, known: _callable(value, name)
     if hint is float or typing.get_origin(hint) is Annotated:
         bound = next((extra for extra in choices[1:] if isinstance(extra, Above)), Above(-math.inf))
         if choices and choices[0] is not float:
             return None
-        endless = isinstance(default, float) and math.isinf(default)
+        endless = bound.endless or (isinstance(default, float) and math.isinf(default))
         return lambda value, known: _number(value, name, bound, endless)
     if hint is int:
         return lambda value, known: _integer(value, name)
@@ -273,10 +318,34 @@ def _check(name: str, hint: Any, default: Any) -> Callable[[Any, Sequence[Any]],
         sizes, any_rows = (rest, True) if more.startswith("*") else ([more, *rest], False)
         readable = all(size.isidentifier() or size.isdigit() for size in sizes) and "float64" in hint.dtypes
         return _array_check(name, sizes, any_rows) if readable else None
-    given = hint is not inspect.Parameter.empty
-    if given and isinstance(hint, type) and hint is not bool and not getattr(hint, "_is_protocol", False):
-        return lambda value, known: _instance(value, name, hint)
-    return None
+    if not _is_class(hint):
+        return None
+    if getattr(hint, "_is_protocol", False):
+        return (lambda value, known: _callable(value, name)) if "__call__" in vars(hint) else None
+    return lambda value, known: _instance(value, name, (hint,))
+
+
+def _is_class(hint: Any) -> bool:
+    # Python 3.11 made a class of `Any`.
+    return isinstance(hint, type) and hint is not typing.Any and hint is not inspect.Parameter.empty
+
+
+#: What stands for several things.
+_SEVERAL = (Sequence, Iterable, Mapping, tuple, list)
+#: Classes that stand for collections among other classes.
+_WHOLE: dict[Any, Any] = {Mapping: Mapping, Sequence: Sequence, tuple: tuple}
+#: Classes that are asked for by name alone, and what else is meant.
+_ALSO: dict[type, tuple[type, ...]] = {Path: (os.PathLike,)}
+
+
+def _either(name: str, others: Sequence[Any]) -> Callable[[Any, Sequence[Any]], Any] | None:
+    """The check of one of several classes; None where one of them has other forms, such as lists for arrays."""
+    others = [_WHOLE.get(typing.get_origin(other), other) for other in others]
+    if not all(_is_class(other) and other not in (float, int, np.ndarray) for other in others):
+        return None
+    if any(hasattr(other, "dim_str") or getattr(other, "_is_protocol", False) for other in others):
+        return None
+    return lambda value, known: _instance(value, name, tuple(others))
 
 
 def _array_check(name: str, sizes: Sequence[str], any_rows: bool) -> Callable[[Any, Sequence[Any]], Any]:
@@ -341,7 +410,7 @@ def _task_of(holder: Any) -> Any:
 def _number(value: Any, name: str, bound: Above, endless: bool) -> float:
     if type(value) is float and bound.least < value < math.inf:
         return value
-    if endless and value == math.inf:
+    if endless and isinstance(value, float) and value == math.inf:
         return math.inf
     ends = {"at_least": bound.least} if bound.reached else {"above": bound.least}
     return number(value, name, **ends)
@@ -360,7 +429,40 @@ def _one_of(value: Any, name: str, choices: Sequence[Any]) -> Any:
     return value
 
 
-def _instance(value: Any, name: str, kind: type) -> Any:
-    if not isinstance(value, kind):
-        raise InputError(f"{name} must be of type {kind.__name__}, got {value!r}")
+def _instance(value: Any, name: str, kinds: tuple[type, ...]) -> Any:
+    if not isinstance(value, (*kinds, *(other for kind in kinds for other in _ALSO.get(kind, ())))):
+        raise InputError(f"{name} must be of type {' or '.join(kind.__name__ for kind in kinds)}, got {value!r}")
+    return value
+
+
+def _truth(value: Any, name: str) -> bool:
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
+
+
+def _callable(value: Any, name: str) -> Any:
+    if not callable(value):
+        raise InputError(f"{name} must be a function or another object that can be called, got {value!r}")
+    return value
+
+
+def _several(value: Any, name: str, kind: Any, choices: Sequence[Any]) -> Any:
+    inner = choices[0] if choices and _is_class(choices[0]) and not hasattr(choices[0], "dim_str") else None
+    kinds = typing.get_args(choices[0]) if choices and isinstance(choices[0], types.UnionType) else (inner,)
+    if kind is Mapping:
+        if not isinstance(value, Mapping):
+            raise InputError(f"{name} must be a dictionary, got {value!r}")
+        return value
+    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
+        raise InputError(f"{name} must be a list, got {value!r}")
+    if typing.get_origin(choices[0] if choices else None) is Literal:
+        return [_one_of(item, f"each of {name}", typing.get_args(choices[0])) for item in value]
+    if any(kind in (None, float, int, np.ndarray) or not _is_class(kind) for kind in kinds):
+        return value
+    if any(getattr(kind, "_is_protocol", False) or hasattr(kind, "dim_str") for kind in kinds):
+        return value
+    if isinstance(value, (Sequence, np.ndarray)):
+        items = [_instance(item, f"each of {name}", kinds) for item in value]
+        return tuple(items) if isinstance(value, tuple) else items
     return value

@@ -203,6 +203,7 @@ class Atlas(Checked):
     reach = Renamed("solve")
 
 
+@checked
 def inverse_kinematics(task: Task, z: PointLike, q0: JointsLike, **options: Any) -> IkSolution:
     """Joints at one task point; `Atlas(task).solve(q0, z)` under the name that it has elsewhere.
 

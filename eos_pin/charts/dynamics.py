@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, JointVector, TaskVector
+from eos_pin._arrays import Array, JointVector, TaskVector, checked
 from eos_pin.charts._basis import rank_of
 from eos_pin.charts.chart import Chart, ChartPoint
 from eos_pin.errors import Renamed, SingularError
@@ -21,6 +21,7 @@ from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import TaskPoint
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class ExtendedDynamics:
     """Equations of motion in w = (z, v) at one state; each term is computed when it is asked for.
@@ -36,6 +37,7 @@ class ExtendedDynamics:
     at = Renamed("from_state")
 
     @classmethod
+    @checked
     def from_state(cls, robot: Robot, chart: Chart, q: JointVector, dq: JointVector) -> ExtendedDynamics:
         """Equations of motion at the state (q, dq)."""
         return cls(robot, chart._point(q, dq))
@@ -52,6 +54,7 @@ class ExtendedDynamics:
         # M E − R is the torque of the acceleration E.
         return self.point.H.T @ self.robot._inverse_dynamics(self.point.q, self.point.dq, self.point.E)
 
+    @checked
     def force(self, tau: JointVector, task_force: TaskVector | None = None) -> JointVector:
         """Generalized force on w of joint torques and of a force F^z on the task; right side of Eq. (26).
 
@@ -65,6 +68,7 @@ class ExtendedDynamics:
             force[: self.point.chart.m] += task_force
         return force
 
+    @checked
     def acceleration(self, tau: JointVector, task_force: TaskVector | None = None) -> JointVector:
         """Ddw = H⁻¹(M⁻¹(R + F^y + G'ᵀF^z) − E), without forming H, M or E; Eq. (30), corrected.
 
@@ -81,6 +85,7 @@ class ExtendedDynamics:
         return np.concatenate((J @ ddq + point.task.drift, point.chart._dv(ddq)))
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class TaskSpaceDynamics:
     """Khatib's task-space dynamics F^z = Λ ddz + μ + p at one state; Eqs. (5)–(9).
@@ -99,6 +104,11 @@ class TaskSpaceDynamics:
     q: JointVector
     dq: JointVector
     task: TaskPoint
+
+    @property
+    def m(self) -> int:
+        """Dimension of the task."""
+        return self.task.dz.size
 
     @cached_property
     def _factor(self) -> tuple[Array, bool]:
@@ -141,6 +151,7 @@ class TaskSpaceDynamics:
         """Projector Nᵀ = I − G'ᵀΛG'M⁻¹ of torques that do not accelerate the task; Eq. (7)."""
         return np.eye(self.robot.n) - self.task.J.T @ self.J_sharp.T
 
+    @checked
     def force(self, ddz: TaskVector) -> TaskVector:
         """Task force Λ ddz + μ + p that causes the task acceleration ddz [N, N m]; Eq. (9)."""
         # Λ(ddz − drift + G'M⁻¹ bias): μ and p in one.

@@ -7,7 +7,7 @@ from typing import Literal, TypeAlias
 
 from jaxtyping import Float, Int
 
-from eos_pin._arrays import Array, JointVector
+from eos_pin._arrays import Array, JointVector, checked
 from eos_pin.charts.chart import Chart
 from eos_pin.errors import Renamed
 
@@ -77,6 +77,7 @@ class IkSolution:
         """Whether q is at the task point."""
         return not self.message
 
+    @checked
     def score(self, tol: float) -> tuple[bool, bool, float]:
         """Rank among several results, larger is better: found first, then limits, then the error beyond `tol`."""
         return self.found, self.within_limits, -max(self.residual, tol)

@@ -11,13 +11,16 @@ from jaxtyping import Float
 
 from eos_pin._arrays import (
     Array,
+    Checked,
     JointVector,
     TaskVector,
     Vector,
     VectorLike,
+    checked,
     frozen_copy,
     gains,
     number,
+    unchecked,
 )
 from eos_pin.charts.chart import Chart
 from eos_pin.errors import InputError, Renamed
@@ -49,7 +52,7 @@ class ControlReport(NamedTuple):
 SAME_PERIOD = 1e-9
 
 
-class Controller(ABC):
+class Controller(Checked, ABC):
     """Torques for a robot, as a pure function of time, state and an explicit memory.
 
     This class is all that the drivers (`simulate`, `simulate_extended`, `simulate_sampled` and `ControlLoop`) ask of a
@@ -71,34 +74,40 @@ class Controller(ABC):
 
     # -- the law -----------------------------------------------------------------------------------------------------
 
+    @checked
     def start(self, t: float, q: JointVector, dq: JointVector) -> Any:
         """Memory at the start of a run; None for a controller that needs none."""
         return None
 
     @abstractmethod
+    @checked
     def torque(self, t: float, q: JointVector, dq: JointVector, state: Any) -> JointVector:
         """Joint torques F^y [N m or N]; never changes anything."""
 
+    @checked
     def validity(self, t: float, q: JointVector, dq: JointVector, state: Any) -> float:
         """Positive while `memory` serves; where it crosses zero a driver stops and calls `update`."""
         return 1.0
 
+    @checked
     def update(self, t: float, q: JointVector, dq: JointVector, state: Any) -> Any:
         """Memory for the time from here on."""
         return state
 
+    @checked
     def take_over(self, t: float, q: JointVector, dq: JointVector, state: Any) -> Any:
         """Memory at a state where a loop goes over to this controller from another one, whose memory is given.
 
         By default that at the start of a run.
         """
-        return self.start(t, q, dq)
+        return self._start(t, q, dq)
 
+    @checked
     def step(self, t: float, q: JointVector, dq: JointVector, state: Any) -> tuple[JointVector, Any]:
         """Torque and memory of one period of a sampled loop: `update` where it is due, then `torque`."""
-        if self.validity(t, q, dq, state) <= 0.0:
-            state = self.update(t, q, dq, state)
-        return self.torque(t, q, dq, state), state
+        if self._validity(t, q, dq, state) <= 0.0:
+            state = self._update(t, q, dq, state)
+        return self._torque(t, q, dq, state), state
 
     def describe(self) -> dict[str, Any]:
         """Name and settings in plain values, for the provenance of a run."""
@@ -106,6 +115,7 @@ class Controller(ABC):
 
     # -- questions of drivers ----------------------------------------------------------------------------------------
 
+    @checked
     def check_plant(self, plant: Robot) -> None:
         """Refuse a plant that does not fit; a controller that needs more of its plant overrides this.
 
@@ -115,6 +125,7 @@ class Controller(ABC):
         if self.robot is not None and self.robot.n != plant.n:
             raise InputError(f"the controller is for {self.robot.n} joints, the plant {plant.name!r} has {plant.n}")
 
+    @checked
     def evaluate(
         self, t: float, q: JointVector, dq: JointVector, state: Any, tau: JointVector | None = None
     ) -> ControlReport:
@@ -127,28 +138,33 @@ class Controller(ABC):
             state: Memory.
             tau: Torque that acts, where a sampled run holds one; by default that of `torque`.
         """
-        tau, nothing = self.torque(t, q, dq, state) if tau is None else tau, np.zeros(0)
+        tau, nothing = self._torque(t, q, dq, state) if tau is None else tau, np.zeros(0)
         if self.task is None:
             return ControlReport(tau, nothing, nothing, nothing, nothing)
         point, unknown = self.task._at(q, dq), np.full(self.task.m, np.nan)
         return ControlReport(tau, point.z, point.dz, unknown, unknown)
 
+    @checked
     def task_deficit(self, t: float, q: JointVector, dq: JointVector, state: Any) -> TaskVector | None:
         """Task acceleration that the law asks for and the torque does not bring, (m,); None where it is not known."""
         return None
 
+    @checked
     def chart(self, state: Any) -> Chart | None:
         """Chart that the memory is on; None for a controller without charts."""
         return None
 
+    @checked
     def self_motion_target(self, t: float, state: Any) -> Target | None:
         """Self-motion (v, dv, ddv) that is tracked at time t; None if none is."""
         return None
 
+    @checked
     def holding_torque(self, q: JointVector) -> JointVector:
         """Torque at rest from which a soft start begins: that of gravity, as the controller knows it [N m or N]."""
         return np.zeros(q.size) if self.robot is None else self.robot._gravity(q)
 
+    @checked
     def broken_limits(
         self, t: Vector, q: Float[Array, "T n"], dq: Float[Array, "T n"], tau: Float[Array, "T n"]
     ) -> str:
@@ -170,6 +186,22 @@ class Controller(ABC):
             q: Joints, (T, n).
         """
         return None
+
+    # -- the same without checks, for inner loops ----------------------------------------------------------------------
+
+    _start = unchecked(start)
+    _torque = unchecked(torque)
+    _validity = unchecked(validity)
+    _update = unchecked(update)
+    _take_over = unchecked(take_over)
+    _step = unchecked(step)
+    _check_plant = unchecked(check_plant)
+    _evaluate = unchecked(evaluate)
+    _task_deficit = unchecked(task_deficit)
+    _chart = unchecked(chart)
+    _self_motion_target = unchecked(self_motion_target)
+    _holding_torque = unchecked(holding_torque)
+    _broken_limits = unchecked(broken_limits)
 
     @property
     def unset(self) -> tuple[str, ...]:
@@ -218,6 +250,7 @@ class TaskController(Controller):
 
     given_up = Renamed("task_deficit")
 
+    @checked
     def __init__(
         self,
         task: Task,
@@ -276,6 +309,7 @@ class TaskController(Controller):
             "reference": type(self.reference).__name__,
         }
 
+    @checked
     def task_acceleration(self, t: float, point: TaskPoint) -> TaskVector:
         """Task part of F*: ddz_d + kd (dz_d − dz) + kp (z_d − z); Eqs. (33), (36)."""
         target = self.reference(t)
@@ -283,6 +317,8 @@ class TaskController(Controller):
             rest = np.zeros(self.task.m)
             target = Target(target.z, rest, rest)
         return self.task.tracking_acceleration(point.z, point.dz, target, self.kp, self.kd)
+
+    _task_acceleration = unchecked(task_acceleration)
 
     def holding_torque(self, q: JointVector) -> JointVector:
         # Without gravity where the controller leaves that to the plant.
@@ -295,8 +331,8 @@ class TaskController(Controller):
         where it does not.
         """
         point = self.task._at(q, dq)
-        ddq = self._model._forward_dynamics(q, dq, self.torque(t, q, dq, state))
-        return self.task_acceleration(t, point) - point.J @ ddq - point.drift
+        ddq = self._model._forward_dynamics(q, dq, self._torque(t, q, dq, state))
+        return self._task_acceleration(t, point) - point.J @ ddq - point.drift
 
 
 class OpenLoop(Controller):
@@ -308,6 +344,7 @@ class OpenLoop(Controller):
 
     task = reference = None
 
+    @checked
     def __init__(self, tau: Callable[[float], VectorLike]) -> None:
         self.tau = tau
 

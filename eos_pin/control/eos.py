@@ -15,7 +15,9 @@ from eos_pin._arrays import (
     TaskVector,
     Vector,
     VectorLike,
+    checked,
     frozen_copy,
+    unchecked,
     vector,
 )
 from eos_pin._kernels.dispatch import DONE
@@ -58,6 +60,7 @@ class EosController(TaskController):
 
     observe = Renamed("evaluate")
 
+    @checked
     def __init__(
         self,
         task: Task,
@@ -80,9 +83,9 @@ class EosController(TaskController):
         self.atlas = atlas or Atlas(task)
 
     def __init_subclass__(cls, **rest: Any) -> None:
-        super().__init_subclass__(**rest)
         # A law of one's own counts.
         stands_for(cls, "compiled_law", "task_acceleration", "asked", off=_no_law)
+        super().__init_subclass__(**rest)
 
     def _accepted(self, name: str, value: Any) -> Any:
         if name == "atlas" and value.task is not self.task:
@@ -107,7 +110,7 @@ class EosController(TaskController):
             state.chart.task is not self.task
             and (state.chart.task.robot, state.chart.task.describe()) != (self.robot, self.task.describe())
         ):
-            return self.start(t, q, dq)
+            return self._start(t, q, dq)
         chart = state.chart if state.chart.task is self.task else replace(state.chart, task=self.task)
         self._check_objective(t, q, dq, chart)
         return replace(state, **self._made(chart))
@@ -115,7 +118,7 @@ class EosController(TaskController):
     def _check_objective(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> None:
         """Refuse a wrong shape of v_d or of its gains here, not in the middle of a run."""
         try:
-            F_v = self.self_motion.acceleration(t, q, dq, chart)
+            F_v = self.self_motion._acceleration(t, q, dq, chart)
         except ValueError as error:
             raise InputError(f"the self-motion objective does not fit this robot and task: {error}") from error
         vector(F_v, chart.r, f"what {type(self.self_motion).__name__} asks of the self-motion")
@@ -127,12 +130,13 @@ class EosController(TaskController):
     def _made(self, chart: Chart) -> dict[str, Any]:
         """The state's part made of gains, targets and the chart."""
         drive = AccelerationMap(chart, smooth=self.smooth)
-        self.self_motion.add_user(self)
-        return {"drive": drive, "law": self.compiled_law(drive), "made_of": self._version}
+        self.self_motion._add_user(self)
+        return {"drive": drive, "law": self._compiled_law(drive), "made_of": self._version}
 
+    @checked
     def compiled_law(self, drive: AccelerationMap) -> Any:
         """`asked` and `drive` in one, compiled; None without, and where a law or its target is of another kind."""
-        held = self.self_motion.held_law(drive.chart.r)
+        held = self.self_motion._held_law(drive.chart.r)
         return None if held is None else drive.tracking_law(self.kp, self.kd, *held)
 
     def _current(self, state: EosState) -> EosState:
@@ -165,15 +169,16 @@ class EosController(TaskController):
             if status == DONE:
                 return ddq, margin, J
         point = self.task._at(q, dq)
-        F = self.asked(t, q, dq, state.chart, point)
+        F = self._asked(t, q, dq, state.chart, point)
         if more is not None:
             F[point.dz.size :] += more
         return *state.drive(point.J, F, dq), point.J
 
+    @checked
     def asked(self, t: float, q: JointVector, dq: JointVector, chart: Chart, point: TaskPoint) -> JointVector:
         """F* less the task's drift: (F_z − Ġ'dq, F_v), (n,); Eqs. (36), (45)."""
-        F_z = self.task_acceleration(t, point) - point.drift
-        return np.concatenate((F_z, self.self_motion.acceleration(t, q, dq, chart)))
+        F_z = self._task_acceleration(t, point) - point.drift
+        return np.concatenate((F_z, self.self_motion._acceleration(t, q, dq, chart)))
 
     def _within(
         self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
@@ -182,7 +187,7 @@ class EosController(TaskController):
         return self._model._inverse_dynamics(q, dq, ddq), self._unchanged
 
     def task_deficit(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> TaskVector:
-        found = self.evaluate(t, q, dq, state)
+        found = self._evaluate(t, q, dq, state)
         return found.deficit_from_singularity + found.deficit_from_limits
 
     def evaluate(
@@ -196,7 +201,7 @@ class EosController(TaskController):
         # Where a direction fades no bound of the margin comes with the acceleration.
         if margin <= 0.0:
             point = self.task._at(q, dq)
-            singular = self.task_acceleration(t, point) - J.dot(ddq) - point.drift
+            singular = self._task_acceleration(t, point) - J.dot(ddq) - point.drift
         limited = self._rest if change is self._unchanged else -J.dot(change)
         return ControlReport(asked if tau is None else tau, self.task._value(q), J.dot(dq), singular, limited)
 
@@ -221,7 +226,7 @@ class EosController(TaskController):
             return following
         # dv is another on the new chart, and so is what the law asks of it; the difference is forgotten by and by.
         ddq, _, _ = self._drive(t, q, dq, self._current(state))
-        F = self.asked(t, q, dq, chart, self.task._at(q, dq))
+        F = self._asked(t, q, dq, chart, self.task._at(q, dq))
         return replace(following, since=t, carried=chart._dv(ddq) - F[chart.m :])
 
     def step(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> tuple[JointVector, EosState]:
@@ -233,7 +238,7 @@ class EosController(TaskController):
         ddq, margin, J = self._drive(t, q, dq, state)
         # The bound that comes with the acceleration saves the chart's exact margin nearly always.
         if turned or (margin <= self.atlas.threshold and not self._holds(state.chart, J)):
-            state = self.update(t, q, dq, state)
+            state = self._update(t, q, dq, state)
             ddq, _, J = self._drive(t, q, dq, state)
         return self._within(q, dq, ddq, J)[0], state
 
@@ -243,6 +248,8 @@ class EosController(TaskController):
             return self.atlas.holds(chart, J)
         except SingularError:
             return True
+
+    _asked, _compiled_law = unchecked(asked), unchecked(compiled_law)
 
     def describe(self) -> dict[str, Any]:
         return super().describe() | {
@@ -259,7 +266,7 @@ class EosController(TaskController):
 
     def self_motion_target(self, t: float, state: EosState) -> Target | None:
         """Self-motion that is tracked at time t; None if the objective tracks none."""
-        return self.self_motion.target_on(t, state.chart)
+        return self.self_motion._target_on(t, state.chart)
 
 
 def _no_law(self: EosController, drive: AccelerationMap) -> None:

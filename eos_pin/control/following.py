@@ -7,7 +7,18 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, JointVector, SelfMotionVector, VectorLike, frozen_copy, gains, number
+from eos_pin._arrays import (
+    Array,
+    JointVector,
+    SelfMotionVector,
+    VectorLike,
+    checked,
+    frozen_copy,
+    gains,
+    number,
+    unchecked,
+    vector,
+)
 from eos_pin.charts.chart import Chart
 from eos_pin.control.objectives import Objective
 from eos_pin.errors import InputError, PlanError
@@ -35,6 +46,7 @@ class FollowJoints(Objective):
         within: Largest difference of a joint at the start [rad or m].
     """
 
+    @checked
     def __init__(
         self,
         joints: Callable[[float], tuple[JointVector, JointVector, JointVector]],
@@ -49,6 +61,7 @@ class FollowJoints(Objective):
         self.kp, self.kd = (frozen_copy(gains(k, n, "a gain on joints")) for k in (kp, kd))
         self._last: tuple[float, tuple[JointVector, JointVector, JointVector]] | None = None
 
+    @checked
     def at(self, t: float) -> tuple[JointVector, JointVector, JointVector]:
         """Joints, velocities and accelerations at time t; that of the last call is kept."""
         last = self._last
@@ -56,14 +69,17 @@ class FollowJoints(Objective):
             last = self._last = t, self.joints(t)
         return last[1]
 
+    _at = unchecked(at)
+
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        q_d, dq_d, ddq_d = self.at(t)
+        q_d, dq_d, ddq_d = self._at(t)
         return chart._dv(ddq_d + self.kd * (dq_d - dq) + self.kp * chart.task.robot._way(q, q_d))
 
     def target_on(self, t: float, chart: Chart) -> Target:
-        q_d, dq_d, ddq_d = self.at(t)
+        q_d, dq_d, ddq_d = self._at(t)
         return Target(chart._v(q_d), chart._dv(dq_d), chart._dv(ddq_d))
 
+    @checked
     def distance(self, t: float, q: JointVector, robot: Robot | None = None) -> float:
         """Largest difference of a joint from where it should be [rad or m].
 
@@ -72,7 +88,8 @@ class FollowJoints(Objective):
             q: Joints, (n,).
             robot: The robot; full turns of its continuous joints do not count.
         """
-        wanted = self.at(t)[0]
+        wanted = self._at(t)[0]
+        q = vector(q, wanted.size, "q")
         return float(abs(wanted - q if robot is None else robot._way(q, wanted)).max())
 
     def joint_distances(self, t: Float[Array, " T"], q: Float[Array, "T n"], robot: Robot) -> Float[Array, " T"]:
@@ -107,6 +124,7 @@ class FollowPlan(FollowJoints):
         PlanError: The plan is for another robot, tool or payload, or its joints jump.
     """
 
+    @checked
     def __init__(
         self,
         plan: Plan,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from eos_pin._arrays import Array, VectorLike, vector
+from eos_pin._arrays import Array, VectorLike, checked, vector
 from eos_pin.control.following import FollowJoints
 from eos_pin.errors import PlanError
 from eos_pin.planning.grid import UNLIMITED
@@ -76,6 +76,7 @@ class Journey:
         return FollowJoints(self.joints, **gains)
 
 
+@checked
 def journey(plan: Plan, q: VectorLike, **options: Any) -> Journey:
     """Way from joints onto a plan.
 

@@ -22,7 +22,9 @@ from eos_pin._arrays import (
     JointVector,
     Vector,
     VectorLike,
+    as_floats,
     broadcast,
+    checked,
     frozen_copy,
     number,
 )
@@ -84,9 +86,18 @@ class JointLimits:
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "velocity", "acceleration", "braking", "torque"):
-            object.__setattr__(self, name, frozen_copy(getattr(self, name)))
+            values = as_floats(getattr(self, name), name)
+            if values.ndim != 1 or values.size != np.size(self.lower) or np.isnan(values).any():
+                raise InputError(f"{name} must be one number for each joint, got {values.tolist()}")
+            object.__setattr__(self, name, frozen_copy(values))
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.lower.size
 
     @classmethod
+    @checked
     def from_robot(
         cls,
         robot: Robot,
@@ -161,6 +172,7 @@ class JointLimits:
             robot, velocity=velocity, acceleration=most, braking=most, position_margin=position_margin
         )
 
+    @checked
     def accelerations(self, q: JointVector, dq: JointVector, period: float) -> tuple[JointVector, JointVector]:
         """Least and largest acceleration of each joint over one period that keep position, velocity and viability.
 
@@ -178,6 +190,7 @@ class JointLimits:
         most = _viability(self, period)(q, dq)
         return np.minimum(-most[q.size :], most[: q.size]), most[: q.size]
 
+    @checked
     def passed(
         self, robot: Robot, t: Vector, q: Float[Array, "T n"], dq: Float[Array, "T n"], tau: Float[Array, "T n"]
     ) -> str:
@@ -286,6 +299,7 @@ class LimitedEosController(EosController):
     period = Renamed("control_period")
 
     @renamed(period="control_period")
+    @checked
     def __init__(
         self,
         task: Task,
@@ -314,6 +328,7 @@ class LimitedEosController(EosController):
             # It holds copies.
             self.__dict__.pop("_within", None)
 
+    @checked
     def overload(self, q: JointVector | None = None) -> tuple[str, ...]:
         """Joints that cannot hold themselves against gravity, see `gravity_overload`; to be read before the start.
 

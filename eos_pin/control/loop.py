@@ -11,10 +11,12 @@ import numpy as np
 from eos_pin._arrays import (
     Array,
     JointVector,
+    PositiveOrInfinite,
     TaskVector,
     VectorLike,
     as_floats,
     broadcast,
+    checked,
     frozen_copy,
     number,
     vector,
@@ -69,13 +71,14 @@ class ControlLoop:
     memory = Renamed("state")
     given_up = Renamed("task_deficit")
 
+    @checked
     def __init__(
         self,
         controller: Controller,
         *,
         control_period: float | None = None,
         torque_limits: bool | VectorLike = True,
-        jump: float = 0.2,
+        jump: PositiveOrInfinite = 0.2,
         torque_rate: float | VectorLike | None = None,
         soft_start: float = 0.0,
         first_torque: VectorLike | None = None,
@@ -112,7 +115,7 @@ class ControlLoop:
         if watch is not None and (self._robot is None or robot is None or self._robot.n == robot.n):
             t, q = watch.last
             # Refused now, not in the middle of the run.
-            controller.take_over(t, q, np.zeros(q.size), self.state)
+            controller._take_over(t, q, np.zeros(q.size), self.state)
             self._fit(controller)
             self._watch, self._before = None, watch
             if self._ramp is not None:
@@ -172,8 +175,9 @@ class ControlLoop:
         seen: Any = q if self._behind is None else _sum(q, self._behind)
         if self._watch is None or not self._watch.accepts(t, seen, dq):
             q, dq = self._checked(q, "q"), self._checked(dq, "dq")
+            t = t if type(t) is float else number(t, "t")
             seen = self._look(t, q, dq)
-        tau, self.state = self._controller.step(t, seen, dq, self.state)  # type: ignore[arg-type]
+        tau, self.state = self._controller._step(t, seen, dq, self.state)  # type: ignore[arg-type]
         self.saturated = False
         if self._ramp is None:
             return tau if within_limits_fast(tau, self._per_limit) else self._cut(t, tau)
@@ -195,7 +199,7 @@ class ControlLoop:
         q, dq = self._checked(q, "q"), self._checked(dq, "dq")
         if self._robot is not None:
             q = self._robot._unwrap(q, self._watch.last[1])
-        return self._controller.task_deficit(t, q, dq, self.state)
+        return self._controller._task_deficit(t, q, dq, self.state)
 
     def _cut(self, t: float, tau: JointVector) -> JointVector:
         """Torques within the limits."""
@@ -216,7 +220,7 @@ class ControlLoop:
         if watch is None:
             if not math.isfinite(t):
                 raise StateError(f"no torque at this time: it must be finite, got {t!r}")
-            self.state = self._controller.start(t, q, dq)
+            self.state = self._controller._start(t, q, dq)
             near = min(self._jump, WRAPPED) if self._robot is not None and self._robot.turns else self._jump
             self._watch = StateMonitor(t, q, near**2)
             return q
@@ -244,7 +248,7 @@ class ControlLoop:
                 f"{allowed[joint]:.3g}. If the next state agrees with this one, the loop goes on"
             )
         if self._watch is None:
-            self.state = self._controller.take_over(t, q, dq, self.state)
+            self.state = self._controller._take_over(t, q, dq, self.state)
             self._watch, self._before = watch, None
         return q
 

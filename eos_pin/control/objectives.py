@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from eos_pin._arrays import (
     Array,
+    Checked,
     JointVector,
     NonNegative,
     SelfMotionVector,
@@ -24,6 +25,7 @@ from eos_pin._arrays import (
     checked,
     frozen_copy,
     gains,
+    unchecked,
     vector,
 )
 from eos_pin._kernels.overrides import stands_for
@@ -33,7 +35,7 @@ from eos_pin.robot.model import Robot
 from eos_pin.trajectories.base import Hold, Target, Trajectory
 
 
-class Objective(ABC):
+class Objective(Checked, ABC):
     """A law for the self-motion.
 
     A law of one's own is a subclass that defines `acceleration`, see docs/extending.md and
@@ -41,17 +43,21 @@ class Objective(ABC):
     """
 
     @abstractmethod
+    @checked
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         """Self-motion acceleration F_v that it asks for, (r,)."""
 
+    @checked
     def target(self, t: float, r: int) -> Target | None:
         """Self-motion (v, dv, ddv) that it tracks; None if it tracks none."""
         return None
 
+    @checked
     def target_on(self, t: float, chart: Chart) -> Target | None:
         """The same on a chart, for laws that track joints."""
-        return self.target(t, chart.r)
+        return self._target(t, chart.r)
 
+    @checked
     def held_law(self, r: int) -> tuple[SelfMotionVector, SelfMotionVector, SelfMotionVector] | None:
         """Gains kp and kd and constant v_d, (r,) each, where `acceleration` is kp (v_d − v) − kd dv; None elsewhere.
 
@@ -59,21 +65,25 @@ class Objective(ABC):
         """
         return None
 
-    def add_user(self, controller: Any) -> None:  # noqa: B027 - most have nothing to tell
+    @checked
+    def add_user(self, controller: Any) -> None:
         """Note a controller whose `renew()` is to be called when the values of `held_law` change."""
 
-    def check_start(self, t: float, q: JointVector, chart: Chart) -> None:  # noqa: B027 - most begin anywhere
+    @checked
+    def check_start(self, t: float, q: JointVector, chart: Chart) -> None:
         """Refuse joints at the start, or a robot or task, that the law is not made for.
 
         Raises:
             PlanError: It follows joints that are far away, or those of another robot or task.
         """
 
+    @checked
     def joint_distances(self, t: Float[Array, " T"], q: Float[Array, "T n"], robot: Robot) -> Float[Array, " T"] | None:
         """Largest difference of a joint from the joints that are followed, at each time; None where none are."""
         return None
 
-    def check(self, n: int, r: int) -> None:  # noqa: B027 - most fit any
+    @checked
+    def check(self, n: int, r: int) -> None:
         """Refuse a robot or a task that it does not fit.
 
         Args:
@@ -83,6 +93,13 @@ class Objective(ABC):
         Raises:
             InputError: It does not fit.
         """
+
+    _acceleration = unchecked(acceleration)
+    _target = unchecked(target)
+    _target_on = unchecked(target_on)
+    _held_law = unchecked(held_law)
+    _add_user = unchecked(add_user)
+    _check = unchecked(check)
 
 
 class Track(Objective):
@@ -96,6 +113,7 @@ class Track(Objective):
         kd: Gain on dv, one number or (r,) [1/s]; 2 √kp is critically damped.
     """
 
+    @checked
     def __init__(
         self,
         reference: Trajectory | VectorLike | None = None,
@@ -110,9 +128,9 @@ class Track(Objective):
         self.reference, self.kp, self.kd = reference, kp, kd  # type: ignore[assignment]
 
     def __init_subclass__(cls, **rest: Any) -> None:
-        super().__init_subclass__(**rest)
         # A law of one's own counts.
         stands_for(cls, "held_law", "acceleration", off=Objective.held_law)
+        super().__init_subclass__(**rest)
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name == "reference" and value is not None and not isinstance(value, Trajectory):
@@ -128,7 +146,7 @@ class Track(Objective):
         try:
             # What does not fit where it is in use is refused here, not in the middle of a run.
             for r in made:
-                self.law(r)
+                self._law(r)
         except InputError:
             super().__setattr__(name, before)
             super().__setattr__("_laws", made)
@@ -142,6 +160,7 @@ class Track(Objective):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, users=WeakSet())
 
+    @checked
     def law(self, r: int) -> tuple[SelfMotionVector, SelfMotionVector, Trajectory]:
         """Gains kp and kd, (r,) each, and reference for r self-motion coordinates; checked once."""
         if r not in self._laws:
@@ -154,8 +173,10 @@ class Track(Objective):
             self._laws[r] = kp, kd, reference
         return self._laws[r]
 
+    _law = unchecked(law)
+
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        kp, kd, reference = self.law(chart.r)
+        kp, kd, reference = self._law(chart.r)
         if (held := reference.constant) is not None:
             # The everyday case, without terms that are zero.
             pull = kp * (held - chart._v(q))
@@ -165,17 +186,17 @@ class Track(Objective):
         return ddv_d + kd * (dv_d - chart._dv(dq)) + kp * (v_d - chart._v(q))
 
     def held_law(self, r: int) -> tuple[SelfMotionVector, SelfMotionVector, SelfMotionVector] | None:
-        kp, kd, reference = self.law(r)
+        kp, kd, reference = self._law(r)
         return None if (held := reference.constant) is None else (kp, kd, held)
 
     def add_user(self, controller: Any) -> None:
         self.users.add(controller)
 
     def target(self, t: float, r: int) -> Target:
-        return self.law(r)[2](t)
+        return self._law(r)[2](t)
 
     def check(self, n: int, r: int) -> None:
-        self.law(r)
+        self._law(r)
 
 
 @checked
@@ -211,6 +232,7 @@ class Posture(Objective):
         kd: Damping, one number or (n,) [1/s].
     """
 
+    @checked
     def __init__(self, q: VectorLike, *, kp: float | VectorLike = 100.0, kd: float | VectorLike = 20.0) -> None:
         self.q: JointVector
         self.q, self.kp, self.kd = q, kp, kd  # type: ignore[assignment]
@@ -220,7 +242,7 @@ class Posture(Objective):
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         if self.q.size != q.size:
-            self.check(q.size, chart.r)
+            self._check(q.size, chart.r)
         return chart._dv(self.kp * chart.task.robot._way(q, self.q) - self.kd * dq)
 
     def check(self, n: int, r: int) -> None:
@@ -252,6 +274,7 @@ class ReduceKineticEnergy(Objective):
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         return -self.gain * chart._dv(self.energy_gradient(q, dq))
 
+    @checked
     def energy_gradient(self, q: JointVector, dq: JointVector) -> JointVector:
         """∇T, (n,)."""
         if self.gradient == "velocity":
@@ -290,6 +313,7 @@ class SumObjective(Objective):
         parts: The objectives.
     """
 
+    @checked
     def __init__(self, parts: Sequence[Objective]) -> None:
         if not parts:
             raise InputError("SumObjective needs at least one objective; Damp(0.0) leaves the self-motion alone")
@@ -298,14 +322,14 @@ class SumObjective(Objective):
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         total = self.parts[0].acceleration(t, q, dq, chart)
         for part in self.parts[1:]:
-            total = total + part.acceleration(t, q, dq, chart)
+            total = total + part._acceleration(t, q, dq, chart)
         return total
 
     def target(self, t: float, r: int) -> Target | None:
-        return next((target for part in self.parts if (target := part.target(t, r)) is not None), None)
+        return next((target for part in self.parts if (target := part._target(t, r)) is not None), None)
 
     def target_on(self, t: float, chart: Chart) -> Target | None:
-        return next((target for part in self.parts if (target := part.target_on(t, chart)) is not None), None)
+        return next((target for part in self.parts if (target := part._target_on(t, chart)) is not None), None)
 
     def check_start(self, t: float, q: JointVector, chart: Chart) -> None:
         for part in self.parts:
@@ -317,4 +341,4 @@ class SumObjective(Objective):
 
     def check(self, n: int, r: int) -> None:
         for part in self.parts:
-            part.check(n, r)
+            part._check(n, r)

@@ -14,7 +14,14 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lapack
 
-from eos_pin._arrays import JointVector, NonNegative, VectorLike, checked
+from eos_pin._arrays import (
+    Checked,
+    JointVector,
+    NonNegative,
+    VectorLike,
+    checked,
+    unchecked,
+)
 from eos_pin.charts._basis import RANK_TOLERANCE, check_rank
 from eos_pin.control.base import TaskController
 from eos_pin.control.objectives import ReduceKineticEnergy, posture_value
@@ -24,7 +31,7 @@ from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Trajectory
 
 
-class NullSpaceLaw(ABC):
+class NullSpaceLaw(Checked, ABC):
     """A torque F⁰ that acts where the task does not feel it, through Nᵀ.
 
     Attributes:
@@ -35,8 +42,11 @@ class NullSpaceLaw(ABC):
     compensates: bool = True
 
     @abstractmethod
+    @checked
     def torque(self, robot: Robot, q: JointVector, dq: JointVector) -> JointVector:
         """Torque F⁰ before projection [N m or N]."""
+
+    _torque = unchecked(torque)
 
 
 @dataclass(frozen=True)
@@ -90,6 +100,7 @@ class PostureNullSpace(NullSpaceLaw):
         kd: Damping [1/s].
     """
 
+    @checked
     def __init__(self, q: VectorLike, *, kp: float | VectorLike = 100.0, kd: float | VectorLike = 20.0) -> None:
         self.q: JointVector
         self.q, self.kp, self.kd = q, kp, kd  # type: ignore[assignment]
@@ -117,6 +128,7 @@ class OperationalSpaceController(TaskController):
         gravity: Whether the controller compensates gravity.
     """
 
+    @checked
     def __init__(
         self,
         task: Task,
@@ -141,13 +153,13 @@ class OperationalSpaceController(TaskController):
 
     def torque(self, t: float, q: JointVector, dq: JointVector, state: Any) -> JointVector:
         point, model = self.task._at(q, dq), self._model
-        ddz = self.task_acceleration(t, point)
+        ddz = self._task_acceleration(t, point)
         if self.drift:
             ddz = ddz - point.drift
         # The torque is G'ᵀΛ(ddz + G'M⁻¹(bias − F⁰)) + F⁰, with M = LLᵀ and Y = M⁻¹G'ᵀ, so that Λ = (G'Y)⁻¹. OpenBLAS
         # starts its threads for dtrtrs whatever the size, which can take a thousand times as long; not for dpotrs.
         bias = model._bias(q, dq)
-        null = self.null_space.torque(model, q, dq)
+        null = self.null_space._torque(model, q, dq)
         if self.null_space.compensates:
             null = null + bias
         L, _ = lapack.dpotrf(model._mass(q), lower=1)

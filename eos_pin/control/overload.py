@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from eos_pin._arrays import JointVector
+from eos_pin._arrays import JointVector, checked
 from eos_pin.errors import RobotError
 from eos_pin.robot.model import Robot
 
@@ -29,6 +29,7 @@ def keeping_order(robot: Robot, torque: JointVector) -> tuple[int, ...]:
     return tuple(int(j) for j in np.argsort(-ratio, kind="stable"))
 
 
+@checked
 def gravity_overload(robot: Robot, q: JointVector | None = None, torque: JointVector | None = None) -> tuple[str, ...]:
     """Joints that cannot hold themselves against gravity, one sentence each; none if all can.
 

@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from eos_pin._arrays import Array, JointVector, frozen_copy, number
+from eos_pin._arrays import Array, JointVector, checked, frozen_copy, number
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import SINGULAR_VALUE_FLOOR
@@ -48,6 +48,7 @@ STUCK = 1e-3
 SAMPLES = 20
 
 
+@checked
 def rest_posture(task: Task) -> JointVector:
     """A posture inside the limits in which the task is far from singular, with as many joints at zero as can be.
 
@@ -97,6 +98,7 @@ def _climb(robot: Robot, q: JointVector, merit: Callable[[JointVector], float]) 
     return q
 
 
+@checked
 def fitting_path(
     task: Task,
     q: JointVector,
@@ -183,6 +185,7 @@ def regularity(task: Task, q: JointVector, chart: Chart | None = None) -> float:
     return float(np.linalg.svd(rows, compute_uv=False)[-1])
 
 
+@checked
 def make_task(
     robot: Robot, kind: TaskKind = "position", *, frame: str = "", axes: str = "", tool_axis: str = "z"
 ) -> Task:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from eos_pin._arrays import JointVector, number, vector
+from eos_pin._arrays import JointVector, checked, number, vector
 from eos_pin.errors import InputError, Renamed
 from eos_pin.experiments.applicability import check_applicable
 from eos_pin.robot.postures import by_name, in_order
@@ -36,6 +36,7 @@ ControllerName = Literal[
 ]
 
 
+@checked
 @dataclass(frozen=True)
 class RobotOptions:
     """Which robot.
@@ -76,6 +77,7 @@ class RobotOptions:
         return load_robot(self.robot, chain_to=tool.name if tool else frame, tool=tool, payload=payload, **options)
 
 
+@checked
 @dataclass(frozen=True)
 class TaskOptions:
     """Task of the robot.
@@ -94,6 +96,7 @@ class TaskOptions:
     q0: tuple[float | str, ...] = ()
     tool_axis: str = "z"
 
+    @checked
     def make(self, robot: Robot) -> tuple[Task, JointVector]:
         """The task, and the joints to start from."""
         from eos_pin.experiments.defaults import make_task, rest_posture
@@ -111,6 +114,7 @@ class TaskOptions:
         return task, in_order(named, robot.model.names[1:], rest_posture(task), "q0")
 
 
+@checked
 @dataclass(frozen=True)
 class PathOptions:
     """Where it should go.
@@ -132,6 +136,7 @@ class PathOptions:
     cycles: int = 3
     duration: float | None = None
 
+    @checked
     def make(self, task: Task, q: JointVector) -> Trajectory:
         """The path: from a file, or through the task point at q."""
         from eos_pin.experiments.defaults import fitting_path
@@ -143,6 +148,7 @@ class PathOptions:
             raise InputError(f"a path is eight, circle, line, hold, or the name of a .csv file; got {self.path!r}")
         return fitting_path(task, q, shape=self.path, size=self.size, plane=self.plane, period=self.period)  # type: ignore[arg-type]
 
+    @checked
     def length(self, reference: Trajectory) -> float:
         """Length of the run [s]."""
         if self.duration is not None:
@@ -152,6 +158,7 @@ class PathOptions:
         return max(reference.duration, 5.0) if np.isfinite(reference.duration) else 10.0
 
 
+@checked
 @dataclass(frozen=True)
 class ControlOptions:
     """How it is controlled.
@@ -180,6 +187,7 @@ class ControlOptions:
     kd_self_motion: float = 20.0
     chart_margin: float = 0.5
 
+    @checked
     def make(
         self,
         task: Task,
@@ -238,6 +246,7 @@ class ControlOptions:
         return Track(Harmonic(center, self.swing * np.eye(r)[:1], np.zeros((1, r)), period), **gains)
 
 
+@checked
 @dataclass(frozen=True)
 class RunOptions:
     """How it is simulated.
@@ -308,6 +317,7 @@ class RunOptions:
             raise InputError(f"a push must end after it begins, got {start:g} to {end:g} s")
         return TaskForce(PositionTask(robot, robot.options["chain_to"]), lambda t: force * (start <= t < end))
 
+    @checked
     def run(
         self,
         robot: Robot,

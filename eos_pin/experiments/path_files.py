@@ -13,6 +13,7 @@ from eos_pin._arrays import (
     JointVector,
     Vector,
     VectorLike,
+    checked,
     vector,
 )
 from eos_pin.charts.atlas import Atlas
@@ -46,6 +47,7 @@ class _Coordinates(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
+@checked
 def path_from_csv(path: str | Path, task: Task, q: JointVector, *, patient: bool = False) -> Trajectory:
     """Path of a task through the rows of a text file, twice continuously differentiable.
 

@@ -22,12 +22,14 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import IO, Any
 
+from eos_pin._arrays import checked
 from eos_pin._files import write_atomically
 from eos_pin.errors import EosError, InputError, MissingDependencyError
 from eos_pin.experiments.trial import Row, Trial
 from eos_pin.simulation._recorder import uninterrupted
 
 
+@checked
 def sweep(
     trials: Iterable[Trial],
     *,

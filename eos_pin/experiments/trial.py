@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from eos_pin._arrays import JointVector
+from eos_pin._arrays import JointVector, checked
 from eos_pin.control.base import Controller
 from eos_pin.errors import InputError, Renamed, UnknownNameError
 from eos_pin.experiments.options import (
@@ -66,6 +66,7 @@ MEASURED = (
 )
 
 
+@checked
 @dataclass(frozen=True)
 class Trial:
     """One closed-loop run in plain values, with the settings and defaults of `eos-pin track`.
@@ -97,6 +98,7 @@ class Trial:
                 raise UnknownNameError(name.replace("_", " "), str(settings[name]), choices)
 
     @classmethod
+    @checked
     def from_settings(cls, robot: str, **settings: Any) -> Trial:
         """The run with these settings, named as the options of `eos-pin track` are, such as `kp=50, model_error=0.1`.
 
@@ -141,10 +143,12 @@ class Trial:
         path = self.path.make(task, q)
         return robot, self.control.make(task, path, q, self.simulation.control_period), q, self.path.length(path)
 
+    @checked
     def run(self, observer: Observer | None = None) -> Result:
         """Run it; `observer` is called with (t, q) of every sample."""
         return self.simulation.run(*self.prepare(), seed=self.seed, observer=observer)
 
+    @checked
     def figures(self, result: Result) -> Row:
         """The run's row of the table, in plain values: the chief figures of `Result.summary`."""
         summary = result.summary()

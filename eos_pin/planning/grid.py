@@ -9,7 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from eos_pin._arrays import Array, VectorLike, broadcast, number
+from eos_pin._arrays import (
+    Array,
+    VectorLike,
+    broadcast,
+    listed,
+    number,
+)
 from eos_pin.errors import InputError
 from eos_pin.planning.plans import Plan
 from eos_pin.robot.model import Robot
@@ -161,7 +167,8 @@ def grid_of(
     """
     timed = times is not None or isinstance(path, Trajectory)
     if not isinstance(path, Trajectory):
-        path = waypoint_path(task, path, times, closed=bool(closed))
+        rows = path if isinstance(path, np.ndarray) else listed(path, "a path of way points")
+        path = waypoint_path(task, rows, times, closed=bool(closed))
     elif times is not None:
         raise InputError("times are for way points; a trajectory has its own")
     start, end = span(path)

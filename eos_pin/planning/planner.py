@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from eos_pin._arrays import Array, VectorLike
+from eos_pin._arrays import Array, VectorLike, checked
 from eos_pin.errors import InputError, PlanError
 from eos_pin.planning.advice import Change, Deadline, changes_for, components_at, tried
 from eos_pin.planning.costs import Cost
@@ -63,6 +63,7 @@ class Attempt:
     seed: int = 0
 
 
+@checked
 def plan(
     task: Task,
     path: Trajectory | Sequence[PointLike] | Array,

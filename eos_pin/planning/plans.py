@@ -14,7 +14,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import lapack
 
-from eos_pin._arrays import Array, frozen_copy
+from eos_pin._arrays import (
+    Array,
+    checked,
+    frozen_copy,
+    number,
+)
 from eos_pin._files import write_atomically
 from eos_pin.errors import InputError, PlanError, ResultError
 from eos_pin.planning.curves import spline
@@ -158,7 +163,7 @@ class Plan:
         Raises:
             PlanError: The joints are not on the path between two knots; the plan was made with too few.
         """
-        inner = self._wrapped(t)
+        inner = self._wrapped(t if type(t) is float else number(t, "t"))
         s, ds, dds = (inner, 1.0, 0.0) if self.pace is None else self.pace(inner)
         q, dq, ddq = self._own(s, t)
         ddq, dq = ds * ds * ddq + dds * dq, ds * dq
@@ -198,6 +203,7 @@ class Plan:
             "have the task point. Plan it again with more points"
         )
 
+    @checked
     def joints(self, times: Float[Array, " T"]) -> Float[Array, "T n"]:
         """Joints at many times."""
         t = np.array([self._wrapped(float(t)) for t in times])
@@ -225,6 +231,7 @@ class Plan:
         where = float(t[int(np.nan_to_num(size, nan=np.inf).argmax())])
         raise PlanError(f"the plan leaves its path at {where:.6g} s: plan it again with more points")
 
+    @checked
     def at_waypoints(self, count: int | None = None) -> Float[Array, "K n"]:
         """Joints at the way points of its path, a closed path's first once more at its end if `count` has room for it.
 
@@ -238,12 +245,14 @@ class Plan:
         rows = np.searchsorted(knots, path.times - 1e-9 * knots[-1])
         return self.q[np.minimum(rows, len(self.q) - 1)][:count]
 
+    @checked
     def task_target(self, t: float) -> Target:
         """Target of the task at time t."""
         return self.path(self._wrapped(t))
 
     # -- identity ------------------------------------------------------------------------------------------------------
 
+    @checked
     def check(self, robot: Robot) -> None:
         """Refuse another robot, tool or payload than those it was planned for.
 
@@ -260,6 +269,7 @@ class Plan:
 
     # -- files -------------------------------------------------------------------------------------------------------
 
+    @checked
     def save(self, path: str | Path) -> Path:
         """Write the plan as .npz.
 
@@ -286,6 +296,7 @@ class Plan:
         return Path(path)
 
     @classmethod
+    @checked
     def load(cls, path: str | Path, robot: Robot | None = None) -> Plan:
         """Read a plan.
 
@@ -326,6 +337,7 @@ class Plan:
         jumps = tuple(header.get("jumps", ()))
         return cls(task, trajectory, times, q, header["closed"], header["status"], header["info"], jumps)
 
+    @checked
     def table(self, rate: float = 100.0) -> tuple[Array, Array, Array, Array]:
         """Times, joints, velocities and accelerations at `rate` times a second and both ends."""
         count = max(2, int(np.ceil((self.end - self.start) * rate)) + 1)
@@ -335,6 +347,7 @@ class Plan:
         q, dq, ddq = (np.array(column) for column in zip(*rows, strict=True))
         return times, q, dq, ddq
 
+    @checked
     def to_csv(self, path: str | Path, *, rate: float = 100.0, derivatives: bool = True) -> Path:
         """Write time, joints, velocities and accelerations by name.
 

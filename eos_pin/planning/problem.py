@@ -13,9 +13,11 @@ from jaxtyping import Bool, Float
 from eos_pin._arrays import (
     Array,
     VectorLike,
+    as_floats,
     broadcast,
     frozen_copy,
     number,
+    pair,
     vector,
 )
 from eos_pin.errors import InputError
@@ -170,7 +172,7 @@ def problem_of(
     room = number(margin, "the margin from joint limits", at_least=0.0)
     lower, upper = robot.lower, robot.upper
     if limits is not None:
-        lower, upper = (np.asarray(end, dtype=float) for end in limits)
+        lower, upper = (as_floats(end, "limits") for end in pair(limits, "limits"))
         if lower.shape != (robot.n,) or upper.shape != (robot.n,):
             raise InputError(
                 f"limits must be two rows of {robot.n} numbers, got shapes {lower.shape} and {upper.shape}"

@@ -11,7 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 
-from eos_pin._arrays import Array, VectorLike
+from eos_pin._arrays import (
+    Array,
+    VectorLike,
+    checked,
+    vector,
+)
 from eos_pin.plots._style import (
     ACTUAL,
     GREEN,
@@ -37,6 +42,7 @@ Obstacles: TypeAlias = Sequence[Sequence[float]] | Callable[[float], Sequence[Se
 LINK, SLIDE = "#30343B", "#8A8F98"
 
 
+@checked
 def plot_key_frames(
     ax: Axes,
     result: Result,
@@ -63,7 +69,7 @@ def plot_key_frames(
     """
     if times is None:
         times = key_times(result, per_cycle=8, first=max(result.cycles - 1, 0))
-    times = np.asarray(times, dtype=float)
+    times = vector(times, None, "times")
     if trace is None:
         trace = [result.frame] if result.frame else leaf_frames(robot)
     shades = np.linspace(0.2, 1.0, len(times)) ** 1.5 if len(times) > 1 else np.ones(1)

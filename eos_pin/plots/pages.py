@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from eos_pin._arrays import Array
+from eos_pin._arrays import Array, checked
 from eos_pin._files import write_atomically
 from eos_pin.errors import EosError, InputError
 from eos_pin.plots._style import (
@@ -72,6 +72,7 @@ __all__ = [
 
 
 @style()
+@checked
 def overview(result: Result, robot: Robot | None = None) -> Figure:
     """One page with an overview of a run.
 
@@ -106,6 +107,7 @@ def overview(result: Result, robot: Robot | None = None) -> Figure:
 
 
 @style()
+@checked
 def comparison(results: Mapping[str, Result], robot: Robot | None = None) -> Figure:
     """Several controllers on the same robot and path: task error, joint drift, kinetic energy, and each one's orbit.
 
@@ -149,6 +151,7 @@ SWEPT = {
 
 
 @style()
+@checked
 def sweep(rows: Sequence[Mapping[str, Any]], over: Sequence[str]) -> Figure:
     """Chief figures of many runs over one setting, a colour for each combination of the others.
 
@@ -215,6 +218,7 @@ def _words(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")
 
 
+@checked
 def save(figure: Figure, path: str | Path) -> Path:
     """Write a figure as PNG (200 dots per inch), PDF or SVG; equal figures give equal files.
 

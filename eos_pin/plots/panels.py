@@ -11,7 +11,13 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from eos_pin._arrays import Array, Vector, VectorLike
+from eos_pin._arrays import (
+    Array,
+    Vector,
+    VectorLike,
+    checked,
+    vector,
+)
 from eos_pin.errors import InputError
 from eos_pin.plots._style import (
     ACTUAL,
@@ -44,6 +50,7 @@ from eos_pin.simulation.result import Result
 NEAR, PASSED = 0.8, "#E00000"
 
 
+@checked
 def plot_path(ax: Axes, result: Result) -> None:
     """Task path against its reference; a task that is no path in space is drawn over time.
 
@@ -65,6 +72,7 @@ def plot_path(ax: Axes, result: Result) -> None:
     return draw_legend(ax, 3)
 
 
+@checked
 def plot_joints(ax: Axes, result: Result, robot: Robot | None = None, *, per_cycle: int = 1) -> None:
     """Joints over time, with a grey line and dots at each exact 1/`per_cycle` of the reference's period.
 
@@ -100,6 +108,7 @@ def _draw_joint_limits(ax: Axes, result: Result, colors: Sequence[Any]) -> None:
     ax.set_ylim(low, high)
 
 
+@checked
 def plot_orbit(
     ax: Axes,
     result: Result,
@@ -131,6 +140,7 @@ def plot_orbit(
     name_axes(ax, names)
 
 
+@checked
 def plot_self_motion(ax: Axes, result: Result, robot: Robot | None = None) -> None:
     """Self-motion coordinates v against v_ref over time."""
     if not result.v.size:
@@ -146,6 +156,7 @@ def plot_self_motion(ax: Axes, result: Result, robot: Robot | None = None) -> No
     return _set_ylabel(ax, "self-motion", joint_units(robot))
 
 
+@checked
 def plot_charts(ax: Axes, result: Result) -> None:
     """Charts on a time axis: a band and a number for each, a line where one is left for the next."""
     if not len(result.switches):
@@ -164,6 +175,7 @@ def plot_charts(ax: Axes, result: Result) -> None:
     name_time(ax, result)
 
 
+@checked
 def plot_errors(ax: Axes, result: Result) -> None:
     """Task error by unit, and self-motion error, as norms on a logarithmic axis over time."""
     units = np.array(result.units or ["m, rad"] * result.error.shape[1])
@@ -184,6 +196,7 @@ def plot_errors(ax: Axes, result: Result) -> None:
     return draw_legend(ax, 3)
 
 
+@checked
 def plot_task_error(ax: Axes, results: Mapping[str, Result]) -> None:
     """Norm of the task error of several runs on a logarithmic axis over time."""
     for k, (name, result) in enumerate(results.items()):
@@ -196,6 +209,7 @@ def plot_task_error(ax: Axes, results: Mapping[str, Result]) -> None:
     _set_ylabel(ax, "task error", [unit for result in results.values() for unit in result.units])
 
 
+@checked
 def plot_kinetic_energy(ax: Axes, results: Result | Mapping[str, Result]) -> None:
     """Kinetic energy of one run, or of several by name, over time; logarithmic where they differ by orders."""
     runs = results if isinstance(results, Mapping) else {"": results}
@@ -215,6 +229,7 @@ def plot_kinetic_energy(ax: Axes, results: Result | Mapping[str, Result]) -> Non
     ax.set_ylabel("kinetic energy [J]")
 
 
+@checked
 def plot_drift(ax: Axes, results: Result | Mapping[str, Result], robot: Robot | None = None) -> None:
     """Largest change of a joint over each cycle, measured between exact multiples of the period."""
     runs = results if isinstance(results, Mapping) else {"": results}
@@ -230,6 +245,7 @@ def plot_drift(ax: Axes, results: Result | Mapping[str, Result], robot: Robot | 
     return _set_ylabel(ax, "joint drift", joint_units(robot))
 
 
+@checked
 def plot_torques(ax: Axes, result: Result, robot: Robot | None = None) -> None:
     """Torques over time, with the range beyond the limits shaded.
 
@@ -263,6 +279,7 @@ def plot_torques(ax: Axes, result: Result, robot: Robot | None = None) -> None:
 # -- what the axes show ----------------------------------------------------------------------------------------------
 
 
+@checked
 def key_times(result: Result, *, per_cycle: int = 1, first: int = 0, last: int | None = None) -> Vector:
     """Times at regular fractions of the period, from the start of cycle `first` to the end of the complete cycles.
 
@@ -277,8 +294,10 @@ def key_times(result: Result, *, per_cycle: int = 1, first: int = 0, last: int |
     return result.t[0] + period * np.arange(first * per_cycle, last * per_cycle + 1) / per_cycle
 
 
+@checked
 def joints_at(result: Result, times: VectorLike) -> Float[Array, "K n"]:
     """Joints at any times, interpolated between the samples [rad or m]."""
+    times = vector(times, None, "times")
     return np.column_stack([np.interp(times, result.t, q) for q in result.q.T])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
@@ -17,6 +17,8 @@ from lxml import etree
 from eos_pin._arrays import (
     Array,
     VectorLike,
+    as_floats,
+    checked,
     frozen_copy,
     number,
     vector,
@@ -36,6 +38,7 @@ T = TypeVar("T")
 Lock: TypeAlias = str | Sequence[str] | Mapping[str, float | None]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Tool:
     """A frame to add: where the tool touches the world.
@@ -59,6 +62,7 @@ class Tool:
         return {"frame": self.frame, "placement": np.asarray(self.placement).tolist(), "name": self.name}
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Payload:
     """A body to add: what the robot carries.
@@ -77,7 +81,9 @@ class Payload:
     inertia: Float[Array, "3 3"] | Sequence[Sequence[float]] | None = None
 
     def __post_init__(self) -> None:
-        inertia = frozen_copy(np.zeros((3, 3)) if self.inertia is None else np.asarray(self.inertia))
+        inertia = frozen_copy(
+            np.zeros((3, 3)) if self.inertia is None else as_floats(self.inertia, "inertia of a payload")
+        )
         if inertia.shape != (3, 3) or not np.isfinite(inertia).all() or not np.allclose(inertia, inertia.T):
             raise InputError(f"inertia of a payload must be a symmetric 3 × 3 matrix, got {inertia.tolist()}")
         object.__setattr__(self, "inertia", inertia)
@@ -99,6 +105,7 @@ class Payload:
         return {"mass": self.mass, "frame": self.frame, "com": com, "inertia": inertia}
 
 
+@checked
 def load_robot(
     source: str | bytes | Path,
     *,
@@ -161,11 +168,13 @@ def load_robot(
     return robot if gravity is None else robot.with_gravity(gravity)
 
 
+@checked
 def leaf_frames(robot: Robot) -> tuple[str, ...]:
     """Frames that carry no other: the ends of all branches."""
     return leaves_of(robot.model)
 
 
+@checked
 def default_frame(robot: Robot) -> str:
     """The frame a person most likely means: what the chain was loaded to, or where the longest arm ends."""
     return str(robot.options.get("chain_to") or default_frame_of(robot.model, robot.mimics))
@@ -251,11 +260,16 @@ def _made(kind: type[T], value: T | Mapping[str, Any] | None) -> T | None:
     try:
         return kind(**value)
     except TypeError as error:
-        raise InputError(f"no {kind.__name__} can be made from {dict(value)!r}: {error}") from error
+        known = ", ".join(field.name for field in fields(kind))  # type: ignore[arg-type]
+        raise InputError(f"no {kind.__name__} can be made from {dict(value)!r}; it has {known}") from error
 
 
 def _names(lock: str | Sequence[str]) -> list[str]:
-    return [lock] if isinstance(lock, str) else list(lock)
+    names = [lock] if isinstance(lock, str) else list(lock)
+    for name in names:
+        if not isinstance(name, str):
+            raise InputError(f"joints to lock are given by name, got {name!r}")
+    return names
 
 
 def _locked(urdf: Urdf, lock: Lock, frame: str) -> dict[str, float]:
@@ -333,7 +347,7 @@ def _pose(value: pin.SE3 | VectorLike | Sequence[Sequence[float]]) -> Float[Arra
     """A pose as matrix, from any of the forms people have it in."""
     if isinstance(value, pin.SE3):
         return frozen_copy(value.homogeneous)
-    matrix = np.asarray(value, dtype=float)
+    matrix = as_floats(value, "a placement")
     if matrix.shape == (3,):
         matrix = pin.SE3(np.eye(3), matrix).homogeneous
     if (

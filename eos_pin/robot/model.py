@@ -19,6 +19,7 @@ from eos_pin._arrays import (
     Array,
     JointVector,
     VectorLike,
+    as_floats,
     checked,
     frozen_copy,
     number,
@@ -39,6 +40,7 @@ SINGULAR_MASS = 1e-12
 MOST_JOINTS = 2000
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Robot(Angles):
     """A serial robot: n one-degree-of-freedom joints, its inertia, and its shape.
@@ -178,12 +180,14 @@ class Robot(Angles):
         """Names of all frames a task can use, from the base to the tip."""
         return tuple(dict.fromkeys(frame.name for frame in self.model.frames))
 
+    @checked
     def posture(self, values: JointsLike, name: str = "q") -> JointVector:
         """Joints in the order of q, from all of them or some by name (`in_order`); others are as near 0 as they can."""
         if not isinstance(values, Mapping):
             return vector(values, self.n, name)
         return in_order(values, self.model.names[1:], np.clip(np.zeros(self.n), self.lower, self.upper), name)
 
+    @checked
     def frame_id(self, name: str) -> int:
         """Index of the frame `name`.
 
@@ -326,13 +330,14 @@ class Robot(Angles):
 
     # -- variations ----------------------------------------------------------------------------------------------
 
+    @checked
     def with_gravity(self, gravity: VectorLike | float) -> Robot:
         """Copy in another gravity field.
 
         Args:
             gravity: Acceleration of gravity [m/s²], a vector, or one number g for (0, 0, −g); 0 for none.
         """
-        if np.ndim(gravity) == 0:
+        if as_floats(gravity, "gravity").ndim == 0:
             gravity = [0.0, 0.0, -number(gravity, "gravity")]  # type: ignore[arg-type]
         model = self.model.copy()
         field = vector(gravity, 3, "gravity")

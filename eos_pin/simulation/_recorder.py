@@ -96,7 +96,7 @@ class Recorder:
         self._next += self._next < len(self.times) and t >= self.times[self._next]
         system = self.system
         q, dq = system.joints(np.array(x))
-        report = system.controller.evaluate(t, q, dq, system.state, tau)
+        report = system.controller._evaluate(t, q, dq, system.state, tau)
         tau = report.tau
         ddq, _ = system.accelerate(t, q, dq, tau)
         self._rows.append(_Row(t, q, dq, ddq, np.array(tau), x[-1], system.state, system.recorded_chart, report[1:]))
@@ -160,7 +160,7 @@ class Recorder:
             for kind, met in run.singularities.items()
             if kind in why
         )
-        passed = controller.broken_limits(run.t, run.q, run.dq, run.tau)
+        passed = controller._broken_limits(run.t, run.q, run.dq, run.tau)
         elsewhere = _elsewhere(apart)
         messages = [passed] * bool(passed) + [f"part of the task was given up {when}"] * bool(lost.any())
         messages += [elsewhere] * bool(elsewhere)
@@ -182,7 +182,7 @@ class Recorder:
                 v[number == k] = chart.v_bar + chart.basis.project((q[number == k] - chart.q_bar).T).T
                 dv[number == k] = chart.basis.project(dq[number == k].T).T
         for k, row in enumerate(rows):
-            target = controller.self_motion_target(row.t, row.state)
+            target = controller._self_motion_target(row.t, row.state)
             if target is not None:
                 v_ref[k] = target.z
         return {"chart": number, "v": v, "dv": dv, "v_ref": v_ref}

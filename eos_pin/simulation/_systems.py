@@ -49,7 +49,7 @@ class System(ABC):
         self, plant: Robot, controller: Controller, task_force: TaskForce | None, friction: Friction | None = None
     ) -> None:
         plant.check_dynamics()
-        controller.check_plant(plant)
+        controller._check_plant(plant)
         if task_force is not None and task_force.task.robot.n != plant.n:
             raise InputError(
                 f"the task force is on a robot with {task_force.task.robot.n} joints, the plant has {plant.n}"
@@ -76,7 +76,7 @@ class System(ABC):
     @property
     def recorded_chart(self) -> Chart | None:
         """Chart whose number and self-motion are recorded."""
-        return self.controller.chart(self.state)
+        return self.controller._chart(self.state)
 
     def accelerate(self, t: float, q: JointVector, dq: JointVector, tau: JointVector) -> tuple[JointVector, float]:
         """Acceleration of the plant under all torques that act on it, and the power they bring in [W]."""
@@ -87,9 +87,9 @@ class System(ABC):
     def acting(self, t: float, q: JointVector, dq: JointVector, tau: JointVector) -> JointVector:
         """The controller's torque with the task force and friction."""
         if self.task_force is not None:
-            tau = tau + self.task_force.torque(t, q)
+            tau = tau + self.task_force._torque(t, q)
         if self.friction is not None:
-            tau = tau + self.friction.torque(dq)
+            tau = tau + self.friction._torque(dq)
         return tau
 
     @abstractmethod
@@ -117,7 +117,7 @@ class JointSystem(System):
     """State (q, dq, work); Eq. (31)."""
 
     def begin(self, q: JointVector, dq: JointVector) -> Vector:
-        self.state = self.controller.start(0.0, q, dq)
+        self.state = self.controller._start(0.0, q, dq)
         return np.concatenate((q, dq, [0.0]))
 
     def rhs(self, t: float, x: Vector, tau: JointVector | None = None) -> Vector:
@@ -125,7 +125,7 @@ class JointSystem(System):
         n = self.plant.n
         q, dq = x[:n], x[n:-1]
         if tau is None:
-            tau = self.controller.torque(t, q, dq, self.state)
+            tau = self.controller._torque(t, q, dq, self.state)
         if self.disturbed:
             tau = self.acting(t, q, dq, tau)
         return state_rate(dq, self.plant._forward_dynamics(q, dq, tau), tau)
@@ -163,10 +163,10 @@ class JointSystem(System):
         return x[:n], x[n : 2 * n]
 
     def switch_function(self, t: float, x: Vector) -> float:
-        return self.controller.validity(t, *self.joints(x), self.state)
+        return self.controller._validity(t, *self.joints(x), self.state)
 
     def switch(self, t: float, x: Vector) -> Vector:
-        self.state = self.controller.update(t, *self.joints(x), self.state)
+        self.state = self.controller._update(t, *self.joints(x), self.state)
         return x
 
 
@@ -188,7 +188,7 @@ class ExtendedSystem(System):
         return self.chart
 
     def begin(self, q: JointVector, dq: JointVector) -> Vector:
-        self.state = self.controller.start(0.0, q, dq)
+        self.state = self.controller._start(0.0, q, dq)
         self.chart = self.atlas.start(q)
         return self._enter(dq, 0.0)
 
@@ -202,7 +202,7 @@ class ExtendedSystem(System):
         chart, task = self.chart, self.atlas.task
         n, m = chart.n, chart.m
         q, dq = self.joints(x)
-        ddq, power = self.accelerate(t, q, dq, self.controller.torque(t, q, dq, self.state))
+        ddq, power = self.accelerate(t, q, dq, self.controller._torque(t, q, dq, self.state))
         point = task._at(q, dq)
         dx = np.empty(2 * n + 1)
         rate = x[n : n + m]
@@ -239,12 +239,12 @@ class ExtendedSystem(System):
             self.chart._margin(J, enough=self.atlas.threshold) - self.atlas.threshold,
             self.atlas.task._local_margin(x[: self.chart.m]),
             self.chart._room(q),
-            self.controller.validity(t, q, dq, self.state),
+            self.controller._validity(t, q, dq, self.state),
         )
 
     def switch(self, t: float, x: Vector) -> Vector:
         q, dq = self.joints(x)
-        if self.controller.validity(t, q, dq, self.state) <= 1e-9:
-            self.state = self.controller.update(t, q, dq, self.state)
+        if self.controller._validity(t, q, dq, self.state) <= 1e-9:
+            self.state = self.controller._update(t, q, dq, self.state)
         self.chart = self.atlas.next(self.chart, q)
         return self._enter(dq, x[-1])

@@ -10,6 +10,7 @@ import numpy as np
 from eos_pin._arrays import (
     JointVector,
     Vector,
+    checked,
     number,
 )
 from eos_pin.charts.atlas import Atlas
@@ -38,6 +39,7 @@ NEARLY_SINGULAR = 0.05
 
 
 @renamed(rate="record_rate")
+@checked
 def simulate(
     plant: Robot,
     controller: Controller,
@@ -82,6 +84,7 @@ def simulate(
 
 
 @renamed(rate="record_rate")
+@checked
 def simulate_extended(
     plant: Robot,
     controller: Controller,

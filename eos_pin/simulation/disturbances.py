@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 
 from eos_pin._arrays import (
+    Checked,
     JointVector,
     NonNegative,
     VectorLike,
+    as_floats,
     broadcast,
     checked,
     frozen_copy,
     number,
+    unchecked,
 )
 from eos_pin.errors import InputError
 from eos_pin.tasks.base import Task
@@ -23,7 +26,7 @@ from eos_pin.tasks.base import Task
 
 @checked
 @dataclass(frozen=True, eq=False)
-class TaskForce:
+class TaskForce(Checked):
     """A force of the environment on a task, F^z of Eq. (24).
 
     Attributes:
@@ -34,13 +37,17 @@ class TaskForce:
     task: Task
     force: Callable[[float], VectorLike]
 
+    @checked
     def torque(self, t: float, q: JointVector) -> JointVector:
         """Joint torques G'ᵀF^z that it is worth [N m or N]."""
         return self.task._linearize(q)[1].T @ np.asarray(self.force(t), dtype=float)
 
+    _torque = unchecked(torque)
 
+
+@checked
 @dataclass(frozen=True, eq=False)
-class Friction:
+class Friction(Checked):
     """Friction in the joints of a plant: −viscous dq − coulomb tanh(dq / speed).
 
     Attributes:
@@ -57,12 +64,13 @@ class Friction:
     def __post_init__(self) -> None:
         number(self.speed, "the speed of dry friction", above=0.0)
         for name in ("viscous", "coulomb"):
-            values = getattr(self, name)
+            values = as_floats(getattr(self, name), name)
             values = frozen_copy(broadcast(values, np.size(values), f"{name} friction"))
             if not (values >= 0.0).all():
                 raise InputError(f"{name} friction must be at least 0, got {values.tolist()}")
-            object.__setattr__(self, name, values if values.size > 1 else float(values[0]))
+            object.__setattr__(self, name, values if values.size != 1 else float(values[0]))
 
+    @checked
     def torque(self, dq: JointVector) -> JointVector:
         """Torque on the joints at these velocities [N m or N]."""
         return -np.asarray(self.viscous) * dq - np.asarray(self.coulomb) * np.tanh(dq / self.speed)
@@ -71,6 +79,8 @@ class Friction:
         """The same in plain values."""
         viscous, coulomb = (np.asarray(values).tolist() for values in (self.viscous, self.coulomb))
         return {"viscous": viscous, "coulomb": coulomb, "speed": self.speed}
+
+    _torque = unchecked(torque)
 
 
 @checked

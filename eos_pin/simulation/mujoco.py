@@ -20,13 +20,14 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, JointVector
+from eos_pin._arrays import Array, JointVector, checked
 from eos_pin.errors import InputError, MissingDependencyError, Renamed
 from eos_pin.robot.model import Robot
 
 Integrator: TypeAlias = Literal["RK4", "Euler", "implicit", "implicitfast"]
 
 
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class MujocoPlant(Robot):
     """A robot whose equations of motion are MuJoCo's; for `simulate_sampled`, and for `simulate` as well.
@@ -49,6 +50,7 @@ class MujocoPlant(Robot):
     of = Renamed("from_robot")
 
     @classmethod
+    @checked
     def from_robot(cls, robot: Robot, *, integrator: Integrator = "RK4") -> MujocoPlant:
         """The robot as MuJoCo moves it."""
         return cls(**{item.name: getattr(robot, item.name) for item in fields(Robot)}, integrator=integrator)
@@ -79,6 +81,7 @@ class MujocoPlant(Robot):
         self._forward(q, dq, tau)
         return data.qacc.copy()
 
+    @checked
     def advance(
         self, q: JointVector, dq: JointVector, tau: JointVector, length: float
     ) -> tuple[JointVector, JointVector]:

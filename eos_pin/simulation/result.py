@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eos_pin._arrays import Array, Vector, nearest
+from eos_pin._arrays import Array, Vector, checked, nearest
 from eos_pin._files import write_csv
 from eos_pin.errors import InputError, Renamed, ResultError
 from eos_pin.robot.loading import load_robot
@@ -208,6 +208,7 @@ class Result:
     def _seconds(self, rows: Bool[Array, " T"]) -> float:
         return float((np.diff(self.t) * rows[1:]).sum())
 
+    @checked
     def mean(self, values: Float[Array, " T"]) -> float:
         """Time average over the complete cycles after transients, or over all that comes after them."""
         first, last = self.settled_row, int(self.cycle_rows[-1]) if self.cycles > 1 else len(self.t) - 1
@@ -254,6 +255,7 @@ class Result:
             "cpu_seconds": float(self.info.get("cpu_seconds", math.nan)),
         }
 
+    @checked
     def residuals(self, robot: Robot | None = None) -> dict[str, float]:
         """Re-check the run from its raw arrays; all figures are near rounding, or within the integrator's tolerance.
 
@@ -273,7 +275,7 @@ class Result:
         torque -= self.tau
         friction = self.info.get("arguments", {}).get("friction")
         if friction:
-            torque -= np.array([Friction(**friction).torque(dq) for dq in self.dq])
+            torque -= np.array([Friction(**friction)._torque(dq) for dq in self.dq])
         found: dict[str, float] = {}
         if self.info.get("task"):
             task = task_from_description(robot, self.info["task"])
@@ -291,6 +293,7 @@ class Result:
         found["power"] = _largest(energy - energy[0] - (self.work - self.work[0])) / float(scale)
         return found
 
+    @checked
     def load_plant(self, source: str | Path = "") -> Robot:
         """The robot that ran, loaded again from where it came.
 
@@ -323,6 +326,7 @@ class Result:
 
     # -- files -------------------------------------------------------------------------------------------------------
 
+    @checked
     def save(self, path: str | Path) -> Path:
         """Write everything to one `.npz`; a file that was there is replaced at once or not at all.
 
@@ -343,6 +347,7 @@ class Result:
         return path
 
     @classmethod
+    @checked
     def load(cls, path: str | Path) -> Result:
         """Read a file that `save` wrote, in this version or an earlier one; nothing in it is executed.
 
@@ -364,6 +369,7 @@ class Result:
                 ".npz files that `eos-pin track` and Result.save write"
             ) from error
 
+    @checked
     def to_csv(self, path: str | Path) -> Path:
         """Write the samples as a table, a row per time and a named column per number, such as `q_elbow`."""
         path = Path(path)

@@ -11,6 +11,7 @@ from eos_pin._arrays import (
     JointVector,
     VectorLike,
     broadcast,
+    checked,
     number,
 )
 from eos_pin.control.base import Controller, agreed_period
@@ -29,6 +30,7 @@ CONTROL_PERIOD = 1e-3
 
 
 @renamed(period="control_period", rate="record_rate")
+@checked
 def simulate_sampled(
     plant: Robot,
     controller: Controller,

@@ -202,6 +202,7 @@ class Task(Checked, ABC):
     def compute_drift(self, data: pin.Data) -> TaskVector:
         """Hook: drift Ġ'dq, (m,) [m/s², rad/s²]. In `data` are velocities and accelerations at ddq = 0, too."""
 
+    @checked
     def frame_placement(self, data: pin.Data, frame: int) -> pin.SE3:
         """Placement of a frame in the world, for hooks.
 
@@ -211,14 +212,17 @@ class Task(Checked, ABC):
         """
         return pin.updateFramePlacement(self._model, data, frame)
 
+    @checked
     def frame_jacobian(self, data: pin.Data, frame: int) -> Float[np.ndarray, "6 n"]:
         """Jacobian of a frame, (6, n): velocity of its origin, then angular velocity, in the axes of the world."""
         return pin.getFrameJacobian(self._model, data, frame, WORLD).reshape(6, -1)
 
+    @checked
     def frame_velocity(self, data: pin.Data, frame: int) -> pin.Motion:
         """Velocity of a frame's origin and angular velocity in the axes of the world, for `compute_drift`."""
         return pin.getFrameVelocity(self._model, data, frame, WORLD)
 
+    @checked
     def frame_acceleration(self, data: pin.Data, frame: int) -> pin.Motion:
         """Acceleration of a frame's origin and angular acceleration in the axes of the world, for `compute_drift`."""
         return pin.getFrameClassicalAcceleration(self._model, data, frame, WORLD)
@@ -281,6 +285,7 @@ class Task(Checked, ABC):
         pull += ddz_d
         return pull
 
+    @checked
     def point(self, value: PointLike) -> Point:
         """Flat task point from a point in any accepted form.
 
@@ -291,6 +296,7 @@ class Task(Checked, ABC):
 
     _point_name = cached_property(lambda self: f"a point of {self!r}")
 
+    @checked
     def hold(self, q: JointsLike) -> Hold:
         """Trajectory that rests at the task point of the joints q.
 

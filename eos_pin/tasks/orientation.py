@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from eos_pin._arrays import Jacobian, TaskVector
+from eos_pin._arrays import Jacobian, TaskVector, checked
 from eos_pin._kernels.flat import Part
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
@@ -28,6 +28,7 @@ class OrientationTask(FrameTask, kind="orientation"):
 
     arguments = ("frame",)
 
+    @checked
     def __init__(self, robot: Robot, frame: str) -> None:
         super().__init__(robot, frame, ("rx", "ry", "rz"), ["rad"] * 3, slice(3, None), slice(3, None))
 
@@ -48,6 +49,7 @@ class OrientationTask(FrameTask, kind="orientation"):
     def local_margin(self, delta: TaskVector) -> float:
         return 1.0 - math.sqrt(delta.dot(delta)) / math.pi
 
+    @checked
     def point(self, value: PointLike) -> Point:
         return flat_rotation(value.rotation if isinstance(value, pin.SE3) else value, self._point_name)
 
@@ -66,6 +68,7 @@ class PoseTask(FrameTask, kind="pose"):
     arguments = ("frame",)
     axes = "xyz"
 
+    @checked
     def __init__(self, robot: Robot, frame: str) -> None:
         labels, units = ("x", "y", "z", "rx", "ry", "rz"), ["m"] * 3 + ["rad"] * 3
         super().__init__(robot, frame, labels, units, slice(None), slice(None))
@@ -85,6 +88,7 @@ class PoseTask(FrameTask, kind="pose"):
     def local_margin(self, delta: TaskVector) -> float:
         return 1.0 - math.sqrt(delta[3:].dot(delta[3:])) / math.pi
 
+    @checked
     def point(self, value: PointLike) -> Point:
         return checked_pose(value, self._point_name)
 
@@ -103,6 +107,7 @@ class HeadingTask(Task, kind="heading"):
     arguments = ("frame",)
     _needs_frames = False
 
+    @checked
     def __init__(self, robot: Robot, frame: str) -> None:
         self.frame = frame
         self._id = robot.frame_id(frame)

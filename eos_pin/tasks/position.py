@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from eos_pin._arrays import Array, Jacobian, TaskVector
+from eos_pin._arrays import Array, Jacobian, TaskVector, checked
 from eos_pin._kernels.flat import Part
 from eos_pin.errors import InputError, RobotError
 from eos_pin.robot.model import Robot
@@ -24,6 +24,7 @@ class PositionTask(FrameTask, kind="position"):
 
     arguments: tuple[str, ...] = ("frame", "axes")
 
+    @checked
     def __init__(self, robot: Robot, frame: str, axes: str = "xyz") -> None:
         self.axes, rows = axes, _rows(axes)
         super().__init__(robot, frame, list(axes), ["m"] * len(axes), rows, rows)
@@ -47,6 +48,7 @@ class RelativePositionTask(Task, kind="relative_position"):
     arguments = ("frame", "reference", "axes")
     _needs_frames = False
 
+    @checked
     def __init__(self, robot: Robot, frame: str, reference: str, axes: str = "xyz") -> None:
         self.frame, self.reference, self.axes = frame, reference, axes
         self._rows = _rows(axes)
@@ -104,6 +106,7 @@ class ComTask(Task, kind="com"):
     arguments = ("axes",)
     _needs_frames = False
 
+    @checked
     def __init__(self, robot: Robot, axes: str = "xyz") -> None:
         if not sum(body.mass for body in list(robot.model.inertias)[1:]) > 0.0:
             raise RobotError(

@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from eos_pin._arrays import Jacobian, JointVector, TaskVector, vector
+from eos_pin._arrays import (
+    Jacobian,
+    JointVector,
+    TaskVector,
+    checked,
+    vector,
+)
 from eos_pin._kernels.flat import Part
 from eos_pin.errors import InputError, UnknownNameError
 from eos_pin.robot.model import Robot
@@ -26,6 +32,7 @@ class StackedTask(Task, kind="stacked"):
         InputError: No tasks, tasks of different robots, or more coordinates than joints.
     """
 
+    @checked
     def __init__(self, tasks: Sequence[Task]) -> None:
         if not tasks:
             raise InputError("StackedTask needs at least one task")
@@ -106,6 +113,7 @@ class StackedTask(Task, kind="stacked"):
             ]
         )
 
+    @checked
     def point(self, value: PointLike) -> Point:
         array = vector(value, self.size, self._point_name)  # type: ignore[arg-type]
         return np.concatenate([task.point(array[p]) for task, p, _ in self._slices])
@@ -114,6 +122,7 @@ class StackedTask(Task, kind="stacked"):
         return {"kind": "stacked", "tasks": [task.describe() for task in self.tasks]}
 
 
+@checked
 def task_from_description(robot: Robot, description: Mapping[str, Any]) -> Task:
     """Task that `Task.describe` described, on `robot`.
 

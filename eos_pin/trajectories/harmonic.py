@@ -77,7 +77,10 @@ class Harmonic(Trajectory):
         )
 
     def __call__(self, t: float) -> Target:
-        return self._sum.at(t)
+        try:
+            return self._sum.at(t)
+        except TypeError:
+            return self._sum.at(number(t, "t"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +125,14 @@ class Waves:
         return Curve(self.phase, self.frequencies, self._rows, *self._cuts, Target)
 
 
+@checked
 def line(center: VectorLike, stroke: VectorLike, *, period: float) -> Harmonic:
     """To and fro on a straight line, from `center` to `center + stroke`, to `center − stroke` and back."""
     stroke = vector(stroke, None, "the stroke")
     return Harmonic(vector(center, stroke.size, "the center"), stroke[None], 0.0 * stroke[None], period)
 
 
+@checked
 def circle(start: VectorLike, radius: float, *, period: float, plane: str = "xy") -> Harmonic:
     """Circle that begins and ends at `start`, with its centre at the lower end of the plane's first axis.
 
@@ -142,6 +147,7 @@ def circle(start: VectorLike, radius: float, *, period: float, plane: str = "xy"
     return Harmonic(start - radius * a, radius * b[None], radius * a[None], period)
 
 
+@checked
 def figure_eight(
     center: VectorLike,
     size: float | tuple[float, float] = 1.0,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from eos_pin._arrays import VectorLike, as_floats, vector
+from eos_pin._arrays import VectorLike, as_floats, checked, vector
 from eos_pin.errors import InputError
 from eos_pin.tasks._flat import PointLike, checked_pose, flat_rotation
 from eos_pin.trajectories.base import Hold, Trajectory
@@ -28,6 +28,7 @@ class PoseTrajectory(StackedTrajectory):
         InputError: A part is missing, of the wrong shape, or no rotation.
     """
 
+    @checked
     def __init__(
         self,
         position: Trajectory | VectorLike | pin.SE3 | None = None,

@@ -19,7 +19,9 @@ from eos_pin._arrays import (
     Vector,
     VectorLike,
     as_floats,
+    checked,
     frozen_copy,
+    listed,
     vector,
 )
 from eos_pin.errors import InputError, renamed
@@ -83,6 +85,7 @@ class Spline(_SplineTrajectory):
         return Target(p, dp, ddp)
 
 
+@checked
 def minimum_jerk(points: Sequence[VectorLike] | Array, times: VectorLike) -> Spline:
     """Curve through `points` at `times` with the least integral of squared jerk, at rest at both ends.
 
@@ -99,6 +102,7 @@ def minimum_jerk(points: Sequence[VectorLike] | Array, times: VectorLike) -> Spl
     return Spline(make_interp_spline(times, points, k=5, bc_type=(ends, ends)), float(times[0]), float(times[-1]))
 
 
+@checked
 def cubic_spline(points: Sequence[VectorLike] | Array, times: VectorLike, *, closed: bool | None = None) -> Spline:
     """Cubic spline through `points` at `times`, twice continuously differentiable.
 
@@ -118,6 +122,7 @@ def cubic_spline(points: Sequence[VectorLike] | Array, times: VectorLike, *, clo
     return Spline(curve, float(times[0]), float(times[-1]), closed)
 
 
+@checked
 def spline_from_csv(path: str | Path) -> Spline:
     """Cubic spline of a vector task through the rows of a text file; `path_from_csv` is the same for any task.
 
@@ -168,6 +173,7 @@ class RotationSpline(_SplineTrajectory):
         return Target(_matrix(p / np.sqrt(square)), omega, alpha)
 
 
+@checked
 def rotation_spline(
     rotations: Sequence[Array] | Array, times: VectorLike, *, closed: bool | None = None
 ) -> RotationSpline:
@@ -186,7 +192,7 @@ def rotation_spline(
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import Rotation
 
-    array = as_floats(rotations, "the rotations of a path")
+    array = as_floats(listed(rotations, "rotations"), "the rotations of a path")
     if array.size != 9 * len(array):
         raise InputError(f"the rotations of a path are matrices (K, 3, 3) or rows (K, 9), got shape {array.shape}")
     flat, times = _knots(array.reshape(-1, 9), times)
@@ -223,6 +229,7 @@ def rotation_spline(
 
 
 @renamed(positions="poses", rotations="poses")
+@checked
 def pose_spline(poses: Sequence[PointLike] | Array, times: VectorLike, *, closed: bool | None = None) -> PoseTrajectory:
     """Smooth curve through poses at given times, for a `PoseTask`, twice continuously differentiable.
 
@@ -234,7 +241,9 @@ def pose_spline(poses: Sequence[PointLike] | Array, times: VectorLike, *, closed
     Raises:
         InputError: Not poses, or their rotations too far apart.
     """
-    points = np.array([checked_pose(pose, f"pose {k}") for k, pose in enumerate(poses)]).reshape(-1, 12)
+    points = np.array([checked_pose(pose, f"pose {k}") for k, pose in enumerate(listed(poses, "poses"))]).reshape(
+        -1, 12
+    )
     positions, rotations = points[:, :3], points[:, 3:]
     place, turn = cubic_spline(positions, times, closed=closed), rotation_spline(rotations, times, closed=closed)
     if place.closed != turn.closed:
@@ -242,6 +251,7 @@ def pose_spline(poses: Sequence[PointLike] | Array, times: VectorLike, *, closed
     return PoseTrajectory(place, turn)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Geodesic(Trajectory):
     """Straight lines of the task's own group from point to point, each at rest at both ends (minimum jerk).

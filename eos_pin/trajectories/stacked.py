@@ -8,11 +8,16 @@ from functools import cached_property
 
 import numpy as np
 
+from eos_pin._arrays import (
+    checked,
+    number,
+)
 from eos_pin.errors import InputError
 from eos_pin.trajectories.base import Target, Trajectory
 from eos_pin.trajectories.harmonic import Waves
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class StackedTrajectory(Trajectory):
     """Targets of several tasks one after the other, for a `StackedTask`, or position and orientation of a pose.
@@ -37,7 +42,7 @@ class StackedTrajectory(Trajectory):
 
     def __call__(self, t: float) -> Target:
         if self._joined is not None:
-            return self._joined.at(t)
+            return self._joined.at(t if type(t) is float else number(t, "t"))
         z, dz, ddz = zip(*(part(t) for part in self.parts), strict=True)
         return Target(np.concatenate(z), np.concatenate(dz), np.concatenate(ddz))
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eos_pin._arrays import Array, Vector, frozen_copy
+from eos_pin._arrays import Array, Vector, checked, frozen_copy
 from eos_pin.errors import InputError
 
 #: Longest file that is read [bytes], and the most rows.
@@ -78,6 +78,7 @@ class Waypoints:
         return len(self.lines)
 
 
+@checked
 def read_waypoints(path: str | Path) -> Waypoints:
     """Read a table of way points.
 

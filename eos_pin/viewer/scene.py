@@ -22,6 +22,7 @@ from eos_pin._arrays import (
     JointVector,
     Vector,
     VectorLike,
+    checked,
     frozen_copy,
     vector,
 )
@@ -41,6 +42,7 @@ from eos_pin.viewer._meshes import (
 PATH_POINTS = 2000
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Robot, paths and obstacles in view, without their motion.
@@ -70,6 +72,7 @@ class Scene:
         for frame in self.traces.values():
             self.robot.frame_id(frame)
 
+    @checked
     def poses(self, t: float, q: JointVector) -> Float[np.ndarray, "bodies 7"]:
         """Position [m] and quaternion (x, y, z, w) of each body: joints in the order of q, then obstacles."""
         model = self.robot.model
@@ -78,6 +81,7 @@ class Scene:
         placements = [data.oMi[i] for i in range(1, model.njoints)] + [o.at(t) for o in self.obstacles]
         return np.array([pin.SE3ToXYZQUAT(placement) for placement in placements])
 
+    @checked
     def pack(self, t: Vector, q: Float[np.ndarray, "k n"]) -> bytes:
         """The scene and its motion as one compressed block, made for the page in `player.html`.
 

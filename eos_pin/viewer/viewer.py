@@ -24,6 +24,7 @@ from eos_pin._arrays import (
     JointVector,
     Vector,
     VectorLike,
+    checked,
     number,
     vector,
 )
@@ -35,6 +36,7 @@ from eos_pin.viewer.scene import Scene, sampled
 FRAME, MOTION = 0, 1
 
 
+@checked
 def write_html(
     path: str | os.PathLike[str], scene: Scene, t: VectorLike, q: Float[np.ndarray, "k n"], *, fps: float = 30.0
 ) -> Path:
@@ -79,6 +81,7 @@ class Viewer:
         url: Address to open in a browser.
     """
 
+    @checked
     def __init__(
         self, scene: Scene, q: VectorLike, *, t: float = 0.0, speed: float = 1.0, fps: float = 60.0, port: int = 7000
     ) -> None:

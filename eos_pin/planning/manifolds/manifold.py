@@ -15,7 +15,11 @@ from eos_pin._arrays import (
     JointVector,
     Vector,
     VectorLike,
+    as_floats,
+    checked,
     frozen_copy,
+    listed,
+    pair,
     vector,
 )
 from eos_pin._kernels.kinematics import Kinematics
@@ -80,6 +84,7 @@ class SelfMotionManifold:
         """Whether no posture within limits and clear of collision was found."""
         return not (self.arcs or (self.covering is not None and len(self.covering.q)))
 
+    @checked
     def missed(self, share: float) -> float:
         """Probability that a component was missed to which the given share of random starts leads."""
         if not 0.0 < share <= 1.0:
@@ -88,10 +93,12 @@ class SelfMotionManifold:
 
     # -- postures ----------------------------------------------------------------------------------------------------
 
+    @checked
     def joints(self, arc: Arc, s: Array) -> Float[Array, "K n"]:
         """Joints of an arc at arc lengths, within limits."""
-        return self._exact(arc_joints(self.components[arc.component], arc, np.asarray(s, dtype=float)))
+        return self._exact(arc_joints(self.components[arc.component], arc, vector(s, None, "s")))
 
+    @checked
     def sampled(self, spacing: float) -> tuple[Float[Array, "K n"], ...]:
         """Joints of each arc at even distances, both ends included, no further apart than `spacing`."""
         return tuple(
@@ -99,6 +106,7 @@ class SelfMotionManifold:
             for arc in self.arcs
         )
 
+    @checked
     def random(self, count: int, seed: int = 0) -> Float[Array, "count n"]:
         """Postures within limits and clear of collision, drawn evenly by arc length or from the covering.
 
@@ -118,6 +126,7 @@ class SelfMotionManifold:
             postures[own] = self.joints(arc, arc.start + places[own] * arc.length)
         return postures
 
+    @checked
     def nearest(self, q: VectorLike) -> JointVector:
         """Posture within limits and clear of collision that is nearest to joints, as the robot would move.
 
@@ -127,6 +136,7 @@ class SelfMotionManifold:
         goal = vector(q, self.task.robot.n, "q")
         return self.best(lambda x: float((x - goal) @ (x - goal)))
 
+    @checked
     def best(self, criterion: Callable[[JointVector], float]) -> JointVector:
         """Posture within limits and clear of collision at which a criterion is least.
 
@@ -195,6 +205,7 @@ class SelfMotionManifold:
             )
 
 
+@checked
 def self_motion_manifold(
     task: Task,
     z: PointLike,
@@ -237,7 +248,9 @@ def self_motion_manifold(
             f"{robot.name!r} has {robot.n} joints and {task!r} {task.m} coordinates: it has no self-motion; choose a "
             "smaller task"
         )
-    lower, upper = (robot.lower, robot.upper) if limits is None else (_bound(bound, robot.n) for bound in limits)
+    lower, upper = (
+        (robot.lower, robot.upper) if limits is None else (_bound(bound, robot.n) for bound in pair(limits, "limits"))
+    )
     if not (lower <= upper).all():
         names = [joint.name for joint, a, b in zip(robot.joints, lower, upper, strict=True) if not a <= b]
         raise InputError(f"the limits of {', '.join(names)} leave no room: the least value is above the largest")
@@ -246,7 +259,7 @@ def self_motion_manifold(
             "seeds, tries and most must be at least 1, step above 0 and at most 1, and resolution above 0; got "
             f"{seeds}, {tries}, {most}, {step} and {resolution}"
         )
-    given = np.reshape([vector(q, robot.n, "a start") for q in starts], (-1, robot.n))
+    given = np.reshape([vector(q, robot.n, "a start") for q in listed(starts, "starts")], (-1, robot.n))
     search = _Search(task, z, lower, upper, given, seed)
     if robot.n - task.m > 1:
         found = search.within(min(seeds, tries))
@@ -359,7 +372,7 @@ class _Search:
 
 def _bound(values: VectorLike, n: int) -> JointVector:
     """Limits, which may be infinite."""
-    array = np.asarray(values, dtype=float)
+    array = as_floats(values, "limits")
     if array.shape != (n,) or np.isnan(array).any():
         raise InputError(f"limits must be two vectors of {n} numbers, ±inf for none; got shape {array.shape}")
     return frozen_copy(array)

@@ -13,6 +13,7 @@ from eos_pin._arrays import (
     SelfMotionVector,
     Vector,
     VectorLike,
+    checked,
     frozen_copy,
     number,
     vector,
@@ -30,6 +31,7 @@ from eos_pin.trajectories.base import Trajectory
 SETTLED = 1e-2
 
 
+@checked
 @renamed(margin="influence_distance")
 @dataclass(frozen=True, eq=False)
 class Avoidance:
@@ -66,6 +68,7 @@ class Avoidance:
         if self.posture is not None:
             object.__setattr__(self, "posture", frozen_copy(self.clearance.robot.posture(self.posture, "the posture")))
 
+    @checked
     def step(self, t: float, q: JointVector, chart: Chart) -> SelfMotionVector:
         """Change of v that makes way at time t [s], (r,)."""
         rows, missing = self._repulsion(t, q)
@@ -88,6 +91,7 @@ class Avoidance:
         missing = [*lacking, *below[below > 0.0], *above[above > 0.0]]
         return np.reshape(rows, (-1, robot.n)), np.array(missing, dtype=float)
 
+    @checked
     def follow(
         self, atlas: Atlas, q: JointsLike, path: Trajectory, times: VectorLike, *, steps: int = 4, tol: float = 1e-10
     ) -> JointPath:

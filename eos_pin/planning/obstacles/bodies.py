@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from eos_pin._arrays import Array
+from eos_pin._arrays import Array, checked
 from eos_pin._kernels.dispatch import kernels
 from eos_pin._kernels.distances import segment_to_box, segment_to_segment
 from eos_pin._kernels.flat import flat_model
@@ -29,6 +29,7 @@ TRIED, OFTEN, SOMETIMES = 400, 0.8, 0.2
 CHUNK = 128
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Bodies:
     """Capsules that enclose the links of a robot.
@@ -51,6 +52,7 @@ class Bodies:
                 raise UnknownNameError("link", link, self.robot.frames)
 
     @classmethod
+    @checked
     def fitted(cls, robot: Robot) -> Bodies:
         """Capsules fitted around the robot's collision shapes, one for each shape.
 
@@ -74,6 +76,7 @@ class Bodies:
         return cls(robot, capsules)._with_pairs(())
 
     @classmethod
+    @checked
     def of(cls, robot: Robot, capsules: Mapping[str, Capsule], unchecked: Iterable[Sequence[str]] = ()) -> Bodies:
         """Capsules given by link.
 

@@ -21,6 +21,7 @@ from eos_pin._arrays import (
     JointVector,
     VectorLike,
     by_identity,
+    checked,
     number,
     vector,
 )
@@ -39,6 +40,7 @@ ACCURACY = 1e-9
 FLAT = 1e-6
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Obstacle:
     """A solid in the robot's way, at rest or moving.
@@ -57,6 +59,7 @@ class Obstacle:
     name: str = "obstacle"
     color: tuple[float, float, float, float] = (0.80, 0.47, 0.65, 0.9)
 
+    @checked
     def at(self, t: float) -> pin.SE3:
         """Pose in the world at time `t` [s]."""
         placement = self.placement(t) if callable(self.placement) else self.placement
@@ -89,6 +92,7 @@ class ClosestPair(NamedTuple):
     gradient: JointVector
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Clearance:
     """Distances of a robot's bodies from obstacles.
@@ -133,16 +137,19 @@ class Clearance:
 
     # -- distances ---------------------------------------------------------------------------------------------------
 
+    @checked
     def nearest(self, t: float, q: JointVector) -> ClosestPair:
         """The closest approach of all at time t [s]."""
         distances = self._distances(t, q)
         return self._closest_pairs(q, [int(distances.argmin())])[0]
 
+    @checked
     def along(self, t: VectorLike, q: Float[np.ndarray, "k n"]) -> Float[np.ndarray, " k"]:
         """Distance of the nearest obstacle at each of several times [m]."""
         times = vector(t, len(q), "the times")
         return np.array([self._distances(*state).min() for state in zip(times.tolist(), q, strict=True)])
 
+    @checked
     def closest_pairs(self, t: float, q: JointVector, *, within: float = np.inf) -> list[ClosestPair]:
         """The approach of each body to each obstacle, the closest first.
 
@@ -161,12 +168,14 @@ class Clearance:
         return self._closest_pairs(q, list(chosen.values()))
 
     @renamed(margin="influence_distance")
+    @checked
     def potential(self, q: JointVector, *, influence_distance: float, t: float = 0.0) -> float:
         """Repulsion ½ Σ (influence_distance − distance)² of all approaches closer than `influence_distance` [m²]."""
         near = self.closest_pairs(t, q, within=influence_distance)
         return 0.5 * sum((influence_distance - a.distance) ** 2 for a in near)
 
     @renamed(margin="influence_distance")
+    @checked
     def potential_gradient(self, q: JointVector, *, influence_distance: float, t: float = 0.0) -> JointVector:
         """Slope of `potential` with the joints, such as `DescendPotential` descends, (n,)."""
         near = self.closest_pairs(t, q, within=number(influence_distance, "the influence distance", above=0.0))

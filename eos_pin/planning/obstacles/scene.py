@@ -14,6 +14,7 @@ import pinocchio as pin
 from eos_pin._arrays import (
     Array,
     VectorLike,
+    checked,
     frozen_copy,
     number,
     vector,
@@ -31,6 +32,7 @@ meshes:
   - {file: part.stl, centre: [0.5, 0, 0.4], rotation: [1, 0, 0, 0], scale: 0.001}"""
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Box:
     """A box.
@@ -53,6 +55,7 @@ class Box:
         object.__setattr__(self, "rotation", _quaternion(self.rotation, self.name))
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Capsule:
     """All points up to a distance from a line segment; a sphere where its ends are the same.
@@ -75,11 +78,13 @@ class Capsule:
         object.__setattr__(self, "radius", number(self.radius, f"the radius of {self.name!r}", at_least=0.0))
 
 
+@checked
 def sphere(centre: VectorLike, radius: float, name: str = "sphere") -> Capsule:
     """A ball."""
     return Capsule(centre, centre, radius, name)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """A mesh, which counts as its convex hull.
@@ -103,6 +108,7 @@ class Mesh:
         object.__setattr__(self, "vertices", frozen_copy(vertices))
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Solids at rest.
@@ -131,6 +137,7 @@ class Scene:
         return [solid.name for solid in solids]
 
 
+@checked
 def read_scene(path: str | Path) -> Scene:
     """Scene from a YAML or JSON file with lists `boxes`, `spheres`, `capsules`, `meshes`; see `FORMAT`.
 
