@@ -101,7 +101,7 @@ def as_floats(values: VectorLike | Sequence[VectorLike] | float, name: str) -> A
 
 
 def listed(values: Any, name: str) -> list[Any]:
-    """List of what a caller gives as several things.
+    """List of several things that a caller gives.
 
     Raises:
         InputError: It is one thing.
