@@ -397,5 +397,4 @@ class _Search:
 
 
 def _same(a: Array, b: Array) -> bool:
-    """Whether two ways are so near each other that they are refined to one."""
-    return bool(np.abs(a - b).max() < 0.1)
+    return bool(np.abs(a - b).max() < 0.1)  # two ways that are refined to one

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,15 +13,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import lapack
 
-from eos_pin._arrays import (
-    Array,
-    checked,
-    frozen_copy,
-    number,
-)
+from eos_pin._arrays import Array, checked, frozen_copy, number
 from eos_pin._files import write_atomically
 from eos_pin.errors import InputError, PlanError, ResultError
 from eos_pin.planning.curves import spline
+from eos_pin.planning.identity import identity
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
 from eos_pin.tasks.batch import Manifold
@@ -374,29 +369,6 @@ class Plan:
 def dds_plus(ddS: Array, ddC: Array, dC: Array, bend: Array, rate: Array) -> Array:
     """Acceleration of S + C λ without the part of λ̈."""
     return ddS + ddC @ bend + 2.0 * dC @ rate
-
-
-def identity(robot: Robot) -> dict[str, str]:
-    """Hashes of a plan's dependencies: joints and their placement, limits, frames (tools), masses (payloads)."""
-    model = robot.model
-    frames = [(f.name, f.parentJoint, f.placement.homogeneous.round(12).tolist()) for f in model.frames]
-    kinematics = [
-        (
-            model.names[i],
-            model.joints[i].shortname(),
-            int(model.parents[i]),
-            model.jointPlacements[i].homogeneous.round(12).tolist(),
-        )
-        for i in range(1, model.njoints)
-    ]
-    masses = [model.inertias[i].toDynamicParameters().round(9).tolist() for i in range(1, model.njoints)]
-    parts = {
-        "joints": kinematics,
-        "masses or payloads": masses,
-        "limits": [robot.lower.round(12).tolist(), robot.upper.round(12).tolist()],
-        "frames or tools": frames,
-    }
-    return {what: hashlib.sha256(repr(value).encode()).hexdigest()[:16] for what, value in parts.items()}
 
 
 def _solved(lu: Any, right: Array) -> Array:

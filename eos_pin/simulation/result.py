@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eos_pin._arrays import Array, Vector, checked, nearest
+from eos_pin._arrays import Array, Vector, checked, largest_magnitude, nearest
 from eos_pin._files import write_csv
 from eos_pin.errors import InputError, Renamed, ResultError
 from eos_pin.robot.loading import load_robot
@@ -240,8 +240,8 @@ class Result:
             "period": self.period if math.isfinite(self.period) else None,
             "cycles": self.cycles,
             "settled_from": float(self.t[late][0]) if len(self.t[late]) else 0.0,
-            "task_error_max": _largest(self.error[late]),
-            "self_motion_error_max": _largest(self.self_motion_error[late]),
+            "task_error_max": largest_magnitude(self.error[late]),
+            "self_motion_error_max": largest_magnitude(self.self_motion_error[late]),
             "joint_drift_per_cycle": [float(d) for d in self.joint_drift_per_cycle],
             "joint_distance": self.info.get("joint_distance"),
             "joint_turns_per_cycle": [int(d) for d in np.abs(self.turns_per_cycle).max(axis=1, initial=0)],
@@ -249,7 +249,7 @@ class Result:
             "singularities": self.singularities,
             "chart_switches": len(self.switches),
             "kinetic_energy_mean": self.mean(self.kinetic_energy),
-            "torque_max": _largest(self.tau),
+            "torque_max": largest_magnitude(self.tau),
             "limit_ratio_max": limits["worst"],
             "limits": limits,
             "cpu_seconds": float(self.info.get("cpu_seconds", math.nan)),
@@ -280,7 +280,7 @@ class Result:
         if self.info.get("task"):
             task = task_from_description(robot, self.info["task"])
             rows = zip(self.q, self.z, strict=True)
-            found["task"] = _largest(np.array([task._minus(z, task._value(q)) for q, z in rows]))
+            found["task"] = largest_magnitude(np.array([task._minus(z, task._value(q)) for q, z in rows]))
         if self.info.get("force_task"):
             pushed = task_from_description(robot, self.info["force_task"])
             rows = zip(self.q, self.task_force, strict=True)
@@ -289,8 +289,8 @@ class Result:
             [robot._kinetic_energy(q, dq) + robot._potential_energy(q) for q, dq in zip(self.q, self.dq, strict=True)]
         )
         scale = max(np.ptp(energy), np.ptp(self.work), self.kinetic_energy.max(), 1e-12)
-        found["torque"] = _largest(torque) / max(_largest(self.tau), _largest(bias), 1e-12)
-        found["power"] = _largest(energy - energy[0] - (self.work - self.work[0])) / float(scale)
+        found["torque"] = largest_magnitude(torque) / max(largest_magnitude(self.tau), largest_magnitude(bias), 1e-12)
+        found["power"] = largest_magnitude(energy - energy[0] - (self.work - self.work[0])) / float(scale)
         return found
 
     @checked
@@ -396,9 +396,3 @@ def names_of(task: Task | None) -> dict[str, Any]:
         return {}
     words = task.labels, task.units, task.frame, task.axes, task.seen_from
     return dict(zip(_NAMES, words, strict=True))
-
-
-def _largest(values: Array) -> float:
-    """Largest magnitude, NaN left out; NaN if there is nothing."""
-    values = np.abs(values[np.isfinite(values)]) if values.size else values
-    return float(values.max()) if values.size else math.nan

@@ -1,0 +1,29 @@
+"""Arrays: their aliases, the checks of values, and those of all arguments of a public function."""
+
+from eos_pin._arrays.arrays import Above as Above
+from eos_pin._arrays.arrays import Array as Array
+from eos_pin._arrays.arrays import Jacobian as Jacobian
+from eos_pin._arrays.arrays import JointVector as JointVector
+from eos_pin._arrays.arrays import Matrix as Matrix
+from eos_pin._arrays.arrays import NonNegative as NonNegative
+from eos_pin._arrays.arrays import Positive as Positive
+from eos_pin._arrays.arrays import PositiveOrInfinite as PositiveOrInfinite
+from eos_pin._arrays.arrays import SelfMotionVector as SelfMotionVector
+from eos_pin._arrays.arrays import TaskVector as TaskVector
+from eos_pin._arrays.arrays import Vector as Vector
+from eos_pin._arrays.arrays import VectorLike as VectorLike
+from eos_pin._arrays.arrays import as_floats as as_floats
+from eos_pin._arrays.arrays import broadcast as broadcast
+from eos_pin._arrays.arrays import by_identity as by_identity
+from eos_pin._arrays.arrays import frozen_copy as frozen_copy
+from eos_pin._arrays.arrays import gains as gains
+from eos_pin._arrays.arrays import is_finite as is_finite
+from eos_pin._arrays.arrays import largest_magnitude as largest_magnitude
+from eos_pin._arrays.arrays import listed as listed
+from eos_pin._arrays.arrays import nearest as nearest
+from eos_pin._arrays.arrays import number as number
+from eos_pin._arrays.arrays import pair as pair
+from eos_pin._arrays.arrays import vector as vector
+from eos_pin._arrays.border import Checked as Checked
+from eos_pin._arrays.border import checked as checked
+from eos_pin._arrays.border import unchecked as unchecked
