@@ -170,7 +170,7 @@ def every_task(robot):
             "relative xyz": eos_pin.RelativePositionTask(robot, end, middle),
             "orientation": eos_pin.OrientationTask(robot, end),
             "com xyz": eos_pin.ComTask(robot),
-            "look at": eos_pin.LookAtTask(robot, end, (0.4, -1.3, 0.7), "x"),
+            "look at": eos_pin.LookAtTask(robot, end, (1.3, -0.4, 1.2), "x"),
             "distance": eos_pin.DistanceTask(robot, end, (0.4, -1.3, 0.7)),
             "joints": eos_pin.JointTask(robot, [{robot.joints[0].name: 1.0, robot.joints[-1].name: -0.5}]),
             "axis": eos_pin.AxisTask(robot, end, "-x"),

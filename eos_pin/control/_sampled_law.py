@@ -9,8 +9,6 @@ import numpy as np
 
 from eos_pin._arrays import JointVector, SelfMotionVector
 from eos_pin.charts.chart import Chart
-from eos_pin.control.following import FollowJoints
-from eos_pin.control.objectives import Objective, Track
 from eos_pin.robot.model import Robot
 
 
@@ -55,30 +53,6 @@ class SelfTargets:
         v, moved = chart._v(q), h * chart._dv(u)
         left = a1 * (self.now - v) - a2 * (before - v + moved)
         return (self.ahead - left - v - moved) / h**2
-
-
-def self_targets(law: Objective, t: float, period: float, step: float, r: int) -> SelfTargets:
-    """Targets of a law of the self-motion around time t.
-
-    Args:
-        law: The law.
-        t: Time [s].
-        period: Control period [s].
-        step: Time of the path that goes by meanwhile [s].
-        r: Degree of redundancy.
-    """
-    if isinstance(law, FollowJoints):
-        (now, velocity, _), (ahead, _, _) = law.at(t), law.joints(t + step)
-        factors = decay(law.kp, law.kd, period)
-        return SelfTargets(law.joints, period, now, ahead, now - step * velocity, factors, joints=True)
-    # A law of one's own counts.
-    if type(law) is Track:
-        kp, kd, reference = law.law(r)
-        if (held := reference.constant) is not None:
-            return SelfTargets(reference, period, held, held, held, decay(kp, kd, period))
-        at, later = reference(t), reference(t + step)
-        return SelfTargets(reference, period, at.z, later.z, at.z - step * at.dz, decay(kp, kd, period))
-    return SelfTargets(law, period)
 
 
 def decay(kp: Any, kd: Any, period: float) -> tuple[Any, Any]:

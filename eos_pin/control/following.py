@@ -20,6 +20,7 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin.charts.chart import Chart
+from eos_pin.control._sampled_law import SelfTargets, decay
 from eos_pin.control.objectives import Objective
 from eos_pin.errors import InputError, PlanError
 from eos_pin.planning.plans import Plan
@@ -74,6 +75,11 @@ class FollowJoints(Objective):
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         q_d, dq_d, ddq_d = self._at(t)
         return chart._dv(ddq_d + self.kd * (dq_d - dq) + self.kp * chart.task.robot._way(q, q_d))
+
+    def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
+        (now, velocity, _), (ahead, _, _) = self._at(t), self.joints(t + step)
+        factors = decay(self.kp, self.kd, period)
+        return SelfTargets(self.joints, period, now, ahead, now - step * velocity, factors, joints=True)
 
     def target_on(self, t: float, chart: Chart) -> Target:
         q_d, dq_d, ddq_d = self._at(t)

@@ -22,7 +22,7 @@ from eos_pin._arrays import (
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import AccelerationMap
-from eos_pin.control._sampled_law import SelfTargets, decay, self_targets
+from eos_pin.control._sampled_law import SelfTargets, decay
 from eos_pin.control._smallest_change import SmallestChange
 from eos_pin.control._velocity_box import VelocityBox, part_within
 from eos_pin.control.limited import JointLimits
@@ -269,7 +269,7 @@ class KinematicLoop:
         # Path time stays behind while the pace is less than 1.
         behind, pace = state.behind + (1.0 - state.pace) * (t - state.t), state.pace
         s = t - behind
-        now, law = self._target(s), self_targets(self.self_motion, s, h, h * pace, r)
+        now, law = self._target(s), self.self_motion.sampled_targets(s, h, h * pace, r)
         # Where the last target is another's or of another time, the velocity takes its place.
         z_d_before = state.z_d if known else task._plus(now.z, -h * pace * now.dz)
         if not known or state.objective is not law.of or state.v_d is None:
@@ -281,7 +281,7 @@ class KinematicLoop:
 
         def solved(pace: float) -> _Solved:
             goal = task._plus(self._target(s + h * pace).z, -error)
-            v_d = self_targets(self.self_motion, s, h, h * pace, r)
+            v_d = self.self_motion.sampled_targets(s, h, h * pace, r)
             return _Solved(*self._acceleration(t, state, v_d, J, task._minus(goal, z_p) / h**2), goal, v_d)
 
         least, most = self._box(q, u)

@@ -145,6 +145,7 @@ class JointLimits:
         )
 
     @classmethod
+    @checked
     def without_torques(
         cls,
         robot: Robot,

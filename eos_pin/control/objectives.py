@@ -30,6 +30,7 @@ from eos_pin._arrays import (
 )
 from eos_pin._kernels.overrides import stands_for
 from eos_pin.charts.chart import Chart
+from eos_pin.control._sampled_law import SelfTargets, decay
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.trajectories.base import Hold, Target, Trajectory
@@ -64,6 +65,17 @@ class Objective(Checked, ABC):
         Compiled control is made of them. A law whose values may change must then tell its users, see `add_user`.
         """
         return None
+
+    def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
+        """Targets around time t, for a loop that commands motion; by default the law counts as an acceleration.
+
+        Args:
+            t: Time [s].
+            period: Control period [s].
+            step: Time of the path that goes by meanwhile [s].
+            r: Degree of redundancy.
+        """
+        return SelfTargets(self, period)
 
     @checked
     def add_user(self, controller: Any) -> None:
@@ -130,6 +142,7 @@ class Track(Objective):
     def __init_subclass__(cls, **rest: Any) -> None:
         # A law of one's own counts.
         stands_for(cls, "held_law", "acceleration", off=Objective.held_law)
+        stands_for(cls, "sampled_targets", "acceleration", off=Objective.sampled_targets)
         super().__init_subclass__(**rest)
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -188,6 +201,14 @@ class Track(Objective):
     def held_law(self, r: int) -> tuple[SelfMotionVector, SelfMotionVector, SelfMotionVector] | None:
         kp, kd, reference = self._law(r)
         return None if (held := reference.constant) is None else (kp, kd, held)
+
+    def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
+        kp, kd, reference = self._law(r)
+        factors = decay(kp, kd, period)
+        if (held := reference.constant) is not None:
+            return SelfTargets(reference, period, held, held, held, factors)
+        at, later = reference(t), reference(t + step)
+        return SelfTargets(reference, period, at.z, later.z, at.z - step * at.dz, factors)
 
     def add_user(self, controller: Any) -> None:
         self.users.add(controller)

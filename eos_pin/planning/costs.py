@@ -60,6 +60,8 @@ def costs_of(
     robot, ones = manifold.robot, np.ones(manifold.n)
     if cost is None:
         return Costs(ones, None)
+    if not (isinstance(cost, (str, Mapping)) or callable(cost)):
+        raise InputError(f"a cost is a name, a function, or a mapping of these to weights, got {cost!r}")
     given: Mapping[str | PostureCost, float] = cost if isinstance(cost, Mapping) else {cost: 1.0}
     weights, parts = ones, list[tuple[float, PostureCost]]()
     for what, weight in given.items():

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, JointVector, Vector, VectorLike, frozen_copy
+from eos_pin._arrays import Array, JointVector, Vector, VectorLike, as_floats, checked, frozen_copy
 from eos_pin.errors import InputError
 from eos_pin.planning.plans import Plan
 from eos_pin.robot.model import Robot
@@ -121,6 +121,7 @@ class LimitUse:
         return {what: None if use is None else use._asdict() for what, use in self._uses.items()}
 
 
+@checked
 def limit_use(plan: Plan, limits: MotionLimits | None = None) -> LimitUse:
     """Parts of the limits that a plan uses, looked at densely at its own pace.
 
@@ -144,9 +145,10 @@ def limit_use(plan: Plan, limits: MotionLimits | None = None) -> LimitUse:
 
 
 def _positive(limit: float | VectorLike, n: int, what: str) -> Vector:
-    most = np.broadcast_to(np.asarray(limit, dtype=float), (n,)) if np.ndim(limit) == 0 else np.asarray(limit, float)
+    given = as_floats(limit, f"the largest {what}")
+    most = np.broadcast_to(given, (n,)) if given.ndim == 0 else given
     if most.shape != (n,) or not (most > 0.0).all():
-        raise InputError(f"the largest {what} must be one positive number or {n}, got {np.asarray(limit).tolist()}")
+        raise InputError(f"the largest {what} must be one positive number or {n}, got {given.tolist()}")
     return most
 
 

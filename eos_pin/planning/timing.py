@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from eos_pin._arrays import Array, Vector, VectorLike
+from eos_pin._arrays import Array, Vector, VectorLike, checked
 from eos_pin.errors import InputError, MissingDependencyError, PlanError
 from eos_pin.planning.limit_use import LimitUse, MotionLimits, limit_use, motion_of, torques_of
 from eos_pin.planning.plans import Plan
@@ -96,6 +96,7 @@ def slowed(plan: Plan, limits: MotionLimits) -> Plan:
     return plan
 
 
+@checked
 def fastest(plan: Plan, limits: MotionLimits | None = None) -> Plan:
     """The plan in the least time that velocity, acceleration and torque limits allow.
 

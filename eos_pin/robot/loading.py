@@ -34,6 +34,8 @@ from eos_pin.robot.notes import Notes, is_physical, oddities
 from eos_pin.robot.urdf import Urdf, read_urdf, read_urdf_text
 
 T = TypeVar("T")
+#: A robot by name, path or text.
+Source: TypeAlias = str | bytes | os.PathLike[str]
 #: Joints to hold fixed, in one of the forms that `load_robot` takes.
 Lock: TypeAlias = str | Sequence[str] | Mapping[str, float | None]
 
@@ -107,7 +109,7 @@ class Payload:
 
 @checked
 def load_robot(
-    source: str | bytes | Path,
+    source: Source,
     *,
     lock: Lock = (),
     chain_to: str = "",
@@ -196,7 +198,7 @@ class _Description(NamedTuple):
     shapes: Shapes | None
 
 
-def _read_urdf(source: str | bytes | Path, lock: Lock, chain_to: str, end: str, folders: list[Path]) -> _Description:
+def _read_urdf(source: Source, lock: Lock, chain_to: str, end: str, folders: list[Path]) -> _Description:
     """Description by a URDF, of the joints that are not locked and are on the way to `end`."""
     urdf, canonical = _read(source)
     urdf = without_planar(urdf, lock if isinstance(lock, Mapping) else _names(lock))
@@ -212,11 +214,11 @@ def _read_urdf(source: str | bytes | Path, lock: Lock, chain_to: str, end: str, 
     return _Description(model, urdf.name, canonical, urdf.sha256, chain_to, notes, mimics, shapes)
 
 
-def _is_mjcf(source: str | bytes | Path) -> bool:
+def _is_mjcf(source: Source) -> bool:
     return isinstance(source, (str, os.PathLike)) and str(source).endswith(".xml") and is_mjcf(Path(source))
 
 
-def _read_mjcf(source: str | bytes | Path, lock: Lock, chain_to: str, end: str, folders: list[Path]) -> _Description:
+def _read_mjcf(source: Source, lock: Lock, chain_to: str, end: str, folders: list[Path]) -> _Description:
     """Description by an MJCF file, likewise."""
     path = Path(os.path.abspath(os.path.expanduser(str(source))))
     model, sha256 = read_mjcf(path)
@@ -227,7 +229,7 @@ def _read_mjcf(source: str | bytes | Path, lock: Lock, chain_to: str, end: str, 
     return _Description(model, model.name, str(path), sha256, chain_to, notes, {}, None)
 
 
-def _read(source: str | bytes | Path) -> tuple[Urdf, str]:
+def _read(source: Source) -> tuple[Urdf, str]:
     """The URDF, and a name by which it is found again: a name, an absolute path, or its text."""
     if isinstance(source, bytes) or (isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")):
         return read_urdf_text(source)

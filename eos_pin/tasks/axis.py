@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from eos_pin._arrays import Array, Jacobian, TaskVector
+from eos_pin._arrays import Array, Jacobian, TaskVector, checked
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks import _sphere
@@ -43,6 +43,7 @@ class AxisTask(Task, kind="axis"):
     is_curved = True
     _needs_frames = False
 
+    @checked
     def __init__(self, robot: Robot, frame: str, axis: AxisLike = "z") -> None:
         self.frame, self._axis = frame, tool_axis(axis)
         self.axis = tuple(self._axis.tolist())
@@ -108,6 +109,7 @@ class PointAxisTask(StackedTask, kind="point_axis"):
 
     arguments = ("frame", "axis")
 
+    @checked
     def __init__(self, robot: Robot, frame: str, axis: AxisLike = "z") -> None:
         direction = AxisTask(robot, frame, axis)
         self.axis = direction.axis

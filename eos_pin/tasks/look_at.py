@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from eos_pin._arrays import Array, Jacobian, TaskVector, frozen_copy, vector
+from eos_pin._arrays import Array, Jacobian, TaskVector, checked, frozen_copy, vector
 from eos_pin.errors import SingularError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks import _sphere
@@ -36,6 +36,7 @@ class LookAtTask(AxisTask, kind="look_at"):
 
     arguments = ("frame", "centre", "axis")
 
+    @checked
     def __init__(self, robot: Robot, frame: str, centre: Sequence[float] | Array, axis: AxisLike = "z") -> None:
         self._centre = frozen_copy(vector(centre, 3, "the centre of a LookAtTask"))
         self.centre = tuple(self._centre.tolist())

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from eos_pin._arrays import Array, Jacobian, TaskVector, vector
+from eos_pin._arrays import Array, Jacobian, TaskVector, checked, vector
 from eos_pin.errors import SingularError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks._flat import FLAT, checked_pose, pose_difference
@@ -34,6 +34,7 @@ class RelativePoseTask(Task, kind="relative_pose"):
     axes = "xyz"
     _needs_frames = False
 
+    @checked
     def __init__(self, robot: Robot, frame: str, reference: str) -> None:
         self.frame, self.reference, self.seen_from = frame, reference, reference
         self._id, self._reference_id = robot.frame_id(frame), robot.frame_id(reference)
@@ -102,6 +103,7 @@ class DistanceTask(Task, kind="distance"):
     arguments = ("frame", "centre")
     _needs_frames = False
 
+    @checked
     def __init__(self, robot: Robot, frame: str, centre: Sequence[float] | Array) -> None:
         self.frame, self._centre = frame, vector(centre, 3, "the centre of a DistanceTask")
         self.centre = tuple(self._centre.tolist())

@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from eos_pin._arrays import (
     Array,
+    TaskVector,
     Vector,
     VectorLike,
     as_floats,
@@ -33,6 +34,8 @@ from eos_pin.trajectories.waypoints import Waypoints, from_quaternions, read_way
 
 #: Where the quaternions of a spline get as short as this between two rotations, it is no curve that anybody means.
 SHORT = 0.4
+#: Part of a line over which the turning of axes is differenced, to fourth order.
+TURN = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +254,6 @@ def pose_spline(poses: Sequence[PointLike] | Array, times: VectorLike, *, closed
     return PoseTrajectory(place, turn)
 
 
-@checked
 @dataclass(frozen=True, eq=False)
 class Geodesic(Trajectory):
     """Straight lines of the task's own group from point to point, each at rest at both ends (minimum jerk).
@@ -269,7 +271,9 @@ class Geodesic(Trajectory):
     times: Float[Array, " K"]
 
     def __post_init__(self) -> None:
-        points, times = _knots([self.task.point(p) for p in self.points], self.times)
+        if not isinstance(self.task, Task):
+            raise InputError(f"task must be of type Task, got {self.task!r}")
+        points, times = _knots([self.task.point(p) for p in listed(self.points, "points")], self.times)
         object.__setattr__(self, "points", frozen_copy(points))
         object.__setattr__(self, "times", frozen_copy(times))
         object.__setattr__(self, "begin", float(times[0]))
@@ -284,8 +288,23 @@ class Geodesic(Trajectory):
         s = min(max((t - times[k]) / T, 0.0), 1.0)
         step = self._steps[k]  # type: ignore[attr-defined]
         # 10 s³ − 15 s⁴ + 6 s⁵ and its derivatives; the axis of rotation is constant, so dz is along the step.
-        z = self.task._plus(self.points[k], (s**3 * (10 + s * (-15 + 6 * s))) * step)
-        return Target(z, (30 * (s * (1 - s)) ** 2 / T) * step, (60 * s * (1 - s) * (1 - 2 * s) / T**2) * step)
+        way = s**3 * (10 + s * (-15 + 6 * s))
+        rate, bend = 30 * (s * (1 - s)) ** 2 / T, 60 * s * (1 - s) * (1 - 2 * s) / T**2
+        z = self.task._plus(self.points[k], way * step)
+        if not self.task.is_curved:
+            return Target(z, rate * step, bend * step)
+        # The axes of dz turn along the line, at a rate that is the slope of what they make of the step.
+        ahead, behind = (
+            8.0 * self._along(k, way + side * TURN) - self._along(k, way + 2.0 * side * TURN) for side in (1.0, -1.0)
+        )
+        along = self._along(k, way)
+        return Target(z, rate * along, bend * along + rate**2 * (ahead - behind) / (12.0 * TURN))
+
+    def _along(self, k: int, way: float) -> TaskVector:
+        """Velocity in the axes of the point at a part of line k whose local coordinates grow by the whole step."""
+        task, start, step = self.task, self.points[k], self._steps[k]  # type: ignore[attr-defined]
+        columns = [task._local_rate(way * step, unit, start) for unit in np.eye(task.m)]
+        return np.linalg.solve(np.array(columns).T, step)
 
 
 def _knots(points: Sequence[VectorLike] | Array, times: VectorLike) -> tuple[Array, Array]:

@@ -163,7 +163,9 @@ def test_packages_own_tasks_compute_only_the_frames_they_need(panda) -> None:
 
 @pytest.mark.parametrize("source", [None, 7, 1.5, ["panda"], pin.Model()], ids=lambda source: type(source).__name__)
 def test_robot_source_refuses_other_values(source) -> None:
-    with pytest.raises(InputError, match=rf"name, path or text of a URDF, got {type(source).__name__}.*Robot\(model\)"):
+    with pytest.raises(
+        InputError, match=rf"name, path or text of a URDF, got {type(source).__name__}.*Robot\.from_pinocchio\(model\)"
+    ):
         load_robot(source)
 
 

@@ -90,7 +90,7 @@ def test_costs_that_cannot_be_used_are_refused(task, cost, message):
 
 @pytest.mark.parametrize("name", ["limits", "torque", "posture"])
 def test_plan_with_a_named_cost_has_less_of_it(task, name):
-    points = [[0.5, y, 0.4] for y in np.linspace(-0.2, 0.2, 9)]
+    points = [[0.6, y, 0.5] for y in np.linspace(-0.3, 0.3, 9)]
     without, drawn = plan(task, points), plan(task, points, cost={name: 20.0})
     value = made(name, task).posture
     assert value(drawn.q).mean() < 0.9 * value(without.q).mean()

@@ -10,8 +10,8 @@ from eos_pin import HeadingTask, PoseTask, PositionTask, load_robot
 from eos_pin.planning.planner import plan
 from eos_pin.planning.problem import problem_of
 from eos_pin.planning.refine import Course, refine
-from eos_pin.tasks.base import StackedTask
 from eos_pin.tasks.batch import Manifold
+from eos_pin.tasks.stacked import StackedTask
 
 LINKS = (0.0, 7.0, 7.0, 4.0, 1.5)
 JOINT = """<link name="link{k}"/><joint name="joint{k}" type="{kind}"><parent link="link{before}"/>

@@ -449,7 +449,7 @@ def test_integrator_that_gives_up(ppr, method):
 def test_gains_too_high_for_the_period(panda):
     task = PositionTask(panda, tip(panda))
     controller = EosController(task, Hold(task.value(REST) + 0.02), kp=1e5, kd=700.0)
-    run = simulate_sampled(panda, controller, REST, duration=2.0, control_period=0.02)
+    run = simulate_sampled(panda, controller, REST, duration=2.0, control_period=0.02, torque_limits=False)
     assert run.status in ("diverged", "singular")
     assert np.isfinite(run.q).all()
 
@@ -493,10 +493,10 @@ def test_singular_start_is_refused(ur5, drive):
 @pytest.mark.parametrize(
     ("drive", "arguments", "message"),
     [
-        (simulate, {"duration": 0.0}, "the duration must be a finite number above 0"),
-        (simulate, {"duration": math.nan}, "the duration must be a finite number"),
+        (simulate, {"duration": 0.0}, "duration must be a finite number above 0"),
+        (simulate, {"duration": math.nan}, "duration must be a finite number"),
         (simulate, {"record_rate": 0.0}, "the sample rate must be a finite number above 0"),
-        (simulate, {"method": "Euler"}, "method must be DOP853"),
+        (simulate, {"method": "Euler"}, "method must be .DOP853"),
         (simulate, {"rtol": 0.0}, "rtol must be a finite number above 0"),
         (simulate, {"atol": -1.0}, "atol must be a finite number above 0"),
         (simulate, {"q": [0.0] * 6}, "q at the start must be 7 numbers"),
@@ -504,8 +504,8 @@ def test_singular_start_is_refused(ur5, drive):
         (simulate, {"dq": [0.0] * 8}, "dq at the start must be 7 numbers"),
         (simulate_sampled, {"control_period": 0.0}, "the control period must be a finite number above 0"),
         (simulate_sampled, {"delay": -1e-3}, "the delay must be a finite number of at least 0"),
-        (simulate_sampled, {"substeps": 0}, "substeps must be a whole number of at least 1"),
-        (simulate_sampled, {"substeps": 1.5}, "substeps must be a whole number of at least 1"),
+        (simulate_sampled, {"substeps": 0}, "substeps must be a whole number"),
+        (simulate_sampled, {"substeps": 1.5}, "substeps must be a whole number"),
         (simulate_sampled, {"torque_limits": [1.0]}, "the torque limits must be 7 numbers"),
         (simulate_sampled, {"torque_limits": -1.0}, "the torque limits must be above 0"),
         (simulate_sampled, {"duration": -1.0}, "the duration must be"),
