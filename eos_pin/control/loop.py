@@ -175,7 +175,8 @@ class ControlLoop:
         seen: Any = q if self._behind is None else _sum(q, self._behind)
         if self._watch is None or not self._watch.accepts(t, seen, dq):
             q, dq = self._checked(q, "q"), self._checked(dq, "dq")
-            t = t if isinstance(t, float) else number(t, "t")
+            given: Any = t
+            t = given if isinstance(given, float) else number(given, "t")
             seen = self._look(t, q, dq)
         tau, self.state = self._controller._step(t, seen, dq, self.state)  # type: ignore[arg-type]
         self.saturated = False
