@@ -86,6 +86,9 @@ def twins() -> tuple[Calls, Calls]:
         F = controller.asked(0.1, REST, dq, chart, point)
         limited = LimitedEosController(task, path)
         ddq = state.drive(point.J, F, dq)[0]
+        program = limited._within.__reduce__()[1][-1].program
+        bound = np.full(14, 10.0)
+        change = point.J, task.robot.mass(REST), -bound, np.where(np.arange(14) == 1, -1.0, bound)
 
         frame = plain_form(task.kernel)
         plain_law, plain_map, plain_limits = map(plain_form, (state.law, state.drive._kernel, limited._within))
@@ -102,6 +105,7 @@ def twins() -> tuple[Calls, Calls]:
                 partial(limited._within, REST, dq, 40.0 * ddq, point.J),
                 partial(plain_limits, REST, dq, 40.0 * ddq, point.J),
             ),
+            "ChangeProgram": (partial(program, *change), partial(plain_form(program), *change)),
             "on_chart_inverse": _pair("on_chart_inverse", point.J, chart.U),
             "newton_step": _pair("newton_step", REST, chart.U, error, chart.B_bar, error),
         }

@@ -43,7 +43,7 @@ AIMS = (
     ("EOS step / Pink's velocity step", "eos_pin torque:", "Pink velocity:", 1 / 6),
     ("EOS step / the Pinocchio calls in it", "eos_pin torque:", "Pinocchio bare:", 2.2),
     ("step with inactive limits / without", "eos_pin torque:within limits", "eos_pin torque:", 2.0),
-    ("step with an active limit / TSID's", "eos_pin torque:at limits", "TSID torque:at limits", 3.0),
+    ("step with an active limit / TSID's", "eos_pin torque:at limits", "TSID torque:at limits", 2.0),
     ("IK from 0.1 m / PlaCo's", "eos_pin inverse:chart", "PlaCo inverse:", 1.0),
     ("IK from 0.1 m / Pink's", "eos_pin inverse:chart", "Pink inverse:", 1 / 7),
     (

@@ -19,7 +19,7 @@ from typing import Any, TypeVar, cast
 COMPILED = {
     "law": ("AccelerationMap", "Frame", "TrackingLaw"),
     "parts": (
-        "Curve", "Limits", "StateMonitor", "flat_pose", "largest", "newton_step", "on_chart_inverse",
+        "ChangeProgram", "Curve", "Limits", "StateMonitor", "flat_pose", "largest", "newton_step", "on_chart_inverse",
         "pose_difference", "state_rate", "within_limits_fast",
     ),
     "_chain": ("Chain", "LARGEST"),
@@ -27,8 +27,8 @@ COMPILED = {
     "_trace": ("nearest", "tangents", "trace"),
 }  # fmt: skip
 
-#: Statuses of a kernel that cannot always answer: it did, or its caller has to decide.
-DONE, UNDECIDED = 0, 1
+#: Statuses of a kernel that cannot always answer: it did, its caller has to decide, or there is no answer.
+DONE, UNDECIDED, NO_ANSWER = 0, 1, 2
 
 #: The compiled functions and classes; None without.
 kernels: Any = None

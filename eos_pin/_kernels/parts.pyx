@@ -3,14 +3,18 @@
 
 cimport numpy as cnp
 from libc.math cimport INFINITY, cos, fabs, isfinite, sin, sqrt
-from scipy.linalg.cython_lapack cimport dgetrf, dgetri
+from scipy.linalg.cython_lapack cimport dgetrf, dgetri, dposv
 
 from eos_pin._kernels._common cimport as_plain, as_table, data, dot, empty, entry, named, plain, table
 
 import numpy as np
 from pinocchio import log3
 
+from eos_pin._kernels import dispatch
+
 cnp.import_array()
+
+cdef int DONE = dispatch.DONE, UNDECIDED = dispatch.UNDECIDED, NO_ANSWER = dispatch.NO_ANSWER
 
 
 cdef class Limits:
@@ -34,6 +38,7 @@ cdef class Limits:
     cdef double *torque
     cdef double *least
     cdef double *most
+    cdef double *factor
     cdef object model, smallest
     cdef tuple made_from, kept
 
@@ -42,11 +47,13 @@ cdef class Limits:
         self.half, self.rate, self.clear, self.model, self.smallest = 0.5 * period, rate, clear, model, smallest
         self.n = n = len(torque)
         vectors = tuple(np.array(x, dtype=float) for x in (ends, fastest, braking, acceleration, torque))
-        self.kept = *vectors, np.empty(n), np.empty(n)
+        self.kept = *vectors, np.empty(n), np.empty(n), np.empty(n * n)
         self.ends, self.fastest, self.braking, self.acceleration = (
             data(vectors[0]), data(vectors[1]), data(vectors[2]), data(vectors[3])
         )
-        self.torque, self.least, self.most = data(vectors[4]), data(self.kept[5]), data(self.kept[6])
+        self.torque, self.least, self.most, self.factor = (
+            data(vectors[4]), data(self.kept[5]), data(self.kept[6]), data(self.kept[7])
+        )
 
     def __reduce__(self):
         return type(self), self.made_from
@@ -82,12 +89,13 @@ cdef class Limits:
             data(shift)[i] = self.kept_to(i, data(ddq)[i])
             data(speed)[i] = data(dq)[i] + half * data(shift)[i]
             data(middle)[i] = data(q)[i] + half * data(dq)[i] + quarter * data(shift)[i]
-        mean = self.model._forward_dynamics(middle, speed, tau)
+        M = self.model._mass(middle)
+        mean = self.accelerations(M, self.model._bias(middle, speed), tau)
         if self.within(mean, tau, below, above):
             return tau, change
         for i in range(n):
             data(shift)[i] -= self.kept_to(i, data(mean)[i])
-        change = self.smallest(J, self.model._mass(middle), below, above)
+        change = self.smallest(J, M, below, above)
         part = 0.0
         for i in range(n):
             data(mean)[i] += data(change)[i]
@@ -109,6 +117,18 @@ cdef class Limits:
                 data(tau)[i] = min(max(data(tau)[i], -self.torque[i]), self.torque[i])
         return tau, change
 
+    cdef cnp.ndarray accelerations(self, cnp.ndarray M, cnp.ndarray bias, cnp.ndarray tau):
+        """M⁻¹ (tau − bias)."""
+        cdef int n = self.n, one = 1, info = 0
+        cdef cnp.ndarray ddq = empty(n)
+        cdef Py_ssize_t i, j
+        for i in range(n):
+            data(ddq)[i] = data(tau)[i] - data(bias)[i]
+            for j in range(n):
+                self.factor[i * n + j] = entry(M, i, j)
+        dposv("U", &n, &one, self.factor, &n, data(ddq), &n, &info)
+        return ddq
+
     cdef bint within(self, cnp.ndarray mean, cnp.ndarray tau, cnp.ndarray below, cnp.ndarray above) noexcept:
         """Whether accelerations and torques are within their limits; how far off these are, below and above."""
         cdef Py_ssize_t n = self.n, i
@@ -119,6 +139,49 @@ cdef class Limits:
         for i in range(2 * n):
             inside &= data(below)[i] <= 0.0 <= data(above)[i]
         return inside
+
+
+cdef class ChangeProgram:
+    """`plain_parts.ChangeProgram`, with the same arguments."""
+
+    cdef object update, solve
+    cdef tuple made_from, arguments
+    cdef double *rows
+    cdef double *upper
+    cdef double *lower
+    cdef double full_price
+    cdef Py_ssize_t m, n
+
+    def __init__(self, model, cnp.ndarray rows, cnp.ndarray upper, cnp.ndarray lower, cnp.ndarray kinds, full_price):
+        self.made_from = model, rows, upper, lower, kinds, full_price
+        # Neither H nor f changes.
+        self.update, self.solve, self.arguments = model.update, model.solve, (None, None, rows, upper, lower, kinds)
+        self.rows, self.upper, self.lower, self.full_price = data(rows), data(upper), data(lower), full_price
+        self.n, self.m = rows.shape[1], rows.shape[0] - rows.shape[1]
+
+    def __reduce__(self):
+        return type(self), self.made_from
+
+    def __call__(self, jacobian, mass, least, most):
+        cdef Py_ssize_t n = self.n, m = self.m, i, j
+        cdef cnp.ndarray J = as_table(jacobian, m, n), M = as_table(mass, n, n)
+        cdef cnp.ndarray lower = as_plain(least, 2 * n), upper = as_plain(most, 2 * n), change, paid
+        cdef double size
+        for i in range(n):
+            for j in range(n):
+                self.rows[i * n + j] = entry(M, i, j)
+        for i in range(m):
+            for j in range(n):
+                self.rows[(n + i) * n + j] = entry(J, i, j)
+        for i in range(2 * n):
+            self.lower[i], self.upper[i] = data(lower)[i], data(upper)[i]
+        self.update(*self.arguments)
+        change, _, flag, info = self.solve()
+        if not (flag > 0 and isfinite(dot(data(change), data(change), n))):
+            return NO_ANSWER, change
+        paid = info["lam"]
+        size = dot(data(paid), data(paid), n)
+        return DONE if size < self.full_price * self.full_price else UNDECIDED, change
 
 
 cdef class StateMonitor:

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from numpy import subtract
+from scipy.linalg.lapack import dposv
 
 from eos_pin._arrays import Array, Jacobian, JointVector, Vector, VectorLike, frozen_copy
+from eos_pin._kernels.dispatch import DONE, NO_ANSWER, UNDECIDED
 
 #: Part of the way from the middle to each limit in which a posture is surely far from the limits; part of the
 #: acceleration allowed there that joint speed may take; and length of a way without limits [rad or m].
@@ -147,13 +149,14 @@ class Limits:
         # A held torque accelerates the joints, on average, as in the middle of the period.
         shift = np.minimum(np.maximum(ddq, least), most)
         middle, speed = self._halfway(q, dq, shift)
-        mean = model._forward_dynamics(middle, speed, tau)
+        M = model._mass(middle)
+        _, mean, _ = dposv(M, tau - model._bias(middle, speed))
         now = np.concatenate((mean, tau))
         if (lower <= now).all() and (now <= upper).all():
             return tau, change
         # So that without a change the middle stays where it is, and the torque is continuous.
         shift -= np.minimum(np.maximum(mean, least), most)
-        change = self._smallest(J, model._mass(middle), lower - now, upper - now)
+        change = self._smallest(J, M, lower - now, upper - now)
         # Where the middle is depends on the change.
         mean += change
         middle, speed = self._halfway(q, dq, mean + shift)
@@ -173,6 +176,51 @@ class Limits:
         half = self._half
         speed = dq + half * ddq
         return q + 0.5 * half * (dq + speed), speed
+
+
+class ChangeProgram:
+    """The quadratic program of `SmallestChange`: filled with numbers, and solved.
+
+    Args:
+        model: The program, a `daqp.Model` with these arrays.
+        rows: Rows M and J of its constraints, (n + m, n).
+        upper: Their upper bounds, (2n + m,), those of the variables themselves before them.
+        lower: Their lower bounds.
+        kinds: Their kinds.
+        full_price: Size of the prices of the variables' own bounds from which one of these bounds is passed.
+    """
+
+    def __init__(
+        self, model: Any, rows: Float[Array, "n+m n"], upper: Vector, lower: Vector, kinds: Array, full_price: float
+    ) -> None:
+        self._made_from = model, rows, upper, lower, kinds, full_price
+        self._model, self._rows, self._upper, self._lower = model, rows, upper, lower
+        self._kinds, self._full_price = kinds, full_price
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._made_from
+
+    def __call__(
+        self, J: Jacobian, M: Float[Array, "n n"], lower: Float[Array, "2*n"], upper: Float[Array, "2*n"]
+    ) -> tuple[int, JointVector]:
+        """Status and solution: `UNDECIDED` where a bound is passed at full price, `NO_ANSWER` beyond all reason.
+
+        Args:
+            J: Jacobian of the task.
+            M: Mass matrix.
+            lower: Lower bounds of the variables and of the rows M.
+            upper: Their upper bounds.
+        """
+        n = len(M)
+        self._rows[:n], self._rows[n:] = M, J
+        self._lower[: 2 * n], self._upper[: 2 * n] = lower, upper
+        # The kinds once more, lest the solution before be the start.
+        self._model.update(A=self._rows, bupper=self._upper, blower=self._lower, sense=self._kinds)
+        change, _, flag, info = self._model.solve()
+        if not (flag > 0 and math.isfinite(change.dot(change))):
+            return NO_ANSWER, change
+        paid = info["lam"][:n]
+        return DONE if paid.dot(paid) < self._full_price**2 else UNDECIDED, change
 
 
 class Curve:

@@ -18,6 +18,10 @@ import numpy as np
 from jaxtyping import Float
 
 from eos_pin._arrays import Array, Jacobian, JointVector, Vector
+from eos_pin._kernels import plain_parts
+from eos_pin._kernels.dispatch import DONE, UNDECIDED, use_compiled
+
+ChangeProgram = use_compiled(plain_parts.ChangeProgram)
 
 #: Price of a change that the task feels against one of the joints, for its size and for its square. The first keeps the
 #: task exactly, up to where that would take excessive self-motion; the second shares what must be given up among the
@@ -52,6 +56,9 @@ class SmallestChange:
         m: Number of task directions.
         n: Number of joints.
         order: Joints in the order in which they are kept; by default from the base outwards.
+
+    Attributes:
+        program: The quadratic program.
     """
 
     def __init__(self, m: int, n: int, order: Sequence[int] | None = None) -> None:
@@ -65,7 +72,9 @@ class SmallestChange:
         self._lower = -self._upper
         prices = np.repeat((LIMIT_PRICE, 0.0, TASK_PRICE), sizes)
         per_weight = np.repeat((1.0 / LIMIT_WEIGHT, 0.0, 1.0 / TASK_WEIGHT), sizes)
-        self._model, self._last = (self._made(2 * n + m, prices, per_weight) for _ in range(2))
+        model, self._last = (self._made(2 * n + m, prices, per_weight) for _ in range(2))
+        # Nobody pays the full price of a limit unless it is passed.
+        self.program = ChangeProgram(model, self._rows, self._upper, self._lower, self._kinds, LIMIT_PRICE)
         self._stage = self._made(2 * n, np.full(2 * n, ASKING_PRICE), np.full(2 * n, 1.0 / LIMIT_WEIGHT))
         for model in (self._last, self._stage):
             model.settings = model.settings | {"primal_tol": EXACT}
@@ -89,18 +98,14 @@ class SmallestChange:
             lower: Least change of the accelerations and of the torques [rad/s² or m/s², N m or N].
             upper: Largest change of both.
         """
+        status, change = self.program(J, M, lower, upper)
+        if status == DONE:
+            return change
+        if status == UNDECIDED:
+            return self._without_the_lost(M, lower, upper, change)
+        # Only numbers beyond all reason have no solution; then every joint for itself.
         n = len(M)
-        self._rows[:n], self._rows[n:] = M, J
-        self._lower[: 2 * n], self._upper[: 2 * n] = lower, upper
-        # The kinds once more, lest the solution before be the start.
-        self._model.update(A=self._rows, bupper=self._upper, blower=self._lower, sense=self._kinds)
-        change, _, flag, info = self._model.solve()
-        if not (flag > 0 and math.isfinite(change.dot(change))):
-            # Only numbers beyond all reason have no solution; then every joint for itself.
-            return np.clip(0.0, lower[:n], upper[:n])
-        # Nobody pays the full price of a limit unless it is passed.
-        paid = info["lam"][:n]
-        return change if paid.dot(paid) < LIMIT_PRICE**2 else self._without_the_lost(M, lower, upper, change)
+        return np.clip(0.0, lower[:n], upper[:n])
 
     def _without_the_lost(
         self, M: Float[Array, "n n"], lower: Float[Array, "2*n"], upper: Float[Array, "2*n"], change: JointVector
