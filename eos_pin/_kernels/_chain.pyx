@@ -8,6 +8,8 @@ Every joint moves along or about the z axis of its own frame, so that a rotation
 from libc.math cimport INFINITY, atan2, cos, fabs, isfinite, remainder, sin, sqrt
 from libc.string cimport memcpy, memset
 
+from eos_pin._kernels._turns cimport arc, rotation_vector, tangents
+
 import numpy as np
 
 from eos_pin._kernels import plain
@@ -22,9 +24,9 @@ cdef enum:
     ORIENTATION = 1
     POSE = 2
     HEADING = 3
+    AXIS = 4
 
 cdef double TAU = 6.283185307179586
-
 #: Most joints and most coordinates of a task that the kernels take.
 LARGEST = MOST_JOINTS, MOST_ROWS
 
@@ -36,33 +38,6 @@ cdef inline void compose(const double* A, const double* B, double* C) noexcept n
         for j in range(3):
             C[3 * i + j] = A[3 * i] * B[j] + A[3 * i + 1] * B[3 + j] + A[3 * i + 2] * B[6 + j]
         C[9 + i] = A[9 + i] + A[3 * i] * B[9] + A[3 * i + 1] * B[10] + A[3 * i + 2] * B[11]
-
-
-cdef inline void rotation_vector(const double* R1, const double* R0, double* e) noexcept nogil:
-    """Rotation vector of R1 R0ᵀ, by way of the quaternion: as exact near 0 and near π as elsewhere."""
-    cdef double R[9]
-    cdef double w, x, y, z, s, scale
-    cdef int i, j
-    for i in range(3):
-        for j in range(3):
-            R[3 * i + j] = R1[3 * i] * R0[3 * j] + R1[3 * i + 1] * R0[3 * j + 1] + R1[3 * i + 2] * R0[3 * j + 2]
-    if R[0] + R[4] + R[8] > 0.0:
-        w = 1.0 + R[0] + R[4] + R[8]
-        x, y, z = R[7] - R[5], R[2] - R[6], R[3] - R[1]
-    elif R[0] >= R[4] and R[0] >= R[8]:
-        x = 1.0 + R[0] - R[4] - R[8]
-        w, y, z = R[7] - R[5], R[1] + R[3], R[2] + R[6]
-    elif R[4] >= R[8]:
-        y = 1.0 - R[0] + R[4] - R[8]
-        w, x, z = R[2] - R[6], R[1] + R[3], R[5] + R[7]
-    else:
-        z = 1.0 - R[0] - R[4] + R[8]
-        w, x, y = R[3] - R[1], R[2] + R[6], R[5] + R[7]
-    if w < 0.0:
-        w, x, y, z = -w, -x, -y, -z
-    s = sqrt(x * x + y * y + z * z)
-    scale = 2.0 * atan2(s, w) / s if s > 0.0 else 0.0
-    e[0], e[1], e[2] = scale * x, scale * y, scale * z
 
 
 cdef class Chain:
@@ -96,8 +71,8 @@ cdef class Chain:
             count = sum(axis >= 0 for axis in axes[k])
             for j in range(3):
                 self.part_axes[3 * k + j] = axes[k][j]
-            self.part_rows[k] = {POSITION: count, ORIENTATION: 3, POSE: 6, HEADING: 1}[kinds[k]]
-            self.part_size[k] = {POSITION: count, ORIENTATION: 9, POSE: 12, HEADING: 1}[kinds[k]]
+            self.part_rows[k] = {POSITION: count, ORIENTATION: 3, POSE: 6, HEADING: 1, AXIS: 2}[kinds[k]]
+            self.part_size[k] = {POSITION: count, ORIENTATION: 9, POSE: 12, HEADING: 1, AXIS: 3}[kinds[k]]
             self.m += self.part_rows[k]
             self.size += self.part_size[k]
             i = joints[k]
@@ -137,6 +112,7 @@ cdef class Chain:
         cdef double world[12 * MOST_JOINTS]
         cdef double T[12]
         cdef double column[6]
+        cdef double E[6]
         cdef double x, y, w
         cdef double* W
         cdef int k, i, a, row, first = 0
@@ -154,6 +130,10 @@ cdef class Chain:
             elif self.part_kind[k] == POSE:
                 memcpy(z, &T[9], 3 * sizeof(double))
                 memcpy(&z[3], T, 9 * sizeof(double))
+            elif self.part_kind[k] == AXIS:
+                w = 1.0 / sqrt(T[2] * T[2] + T[5] * T[5] + T[8] * T[8])
+                z[0], z[1], z[2] = w * T[2], w * T[5], w * T[8]
+                tangents(z, E)
             else:
                 z[0] = atan2(T[3], T[0])
             z += self.part_size[k]
@@ -174,6 +154,12 @@ cdef class Chain:
                     column[0] = W[5] * w - W[8] * y
                     column[1] = W[8] * x - W[2] * w
                     column[2] = W[2] * y - W[5] * x
+                if self.part_kind[k] == AXIS:
+                    # Velocity ω × a along e1 and e2 = a × e1.
+                    x = E[3] * column[3] + E[4] * column[4] + E[5] * column[5]
+                    y = E[0] * column[3] + E[1] * column[4] + E[2] * column[5]
+                    J[first * self.n + i], J[(first + 1) * self.n + i] = x, -y
+                    continue
                 for row in range(self.part_rows[k]):
                     if self.part_kind[k] == POSITION:
                         a = self.part_axes[3 * k + row]
@@ -194,6 +180,8 @@ cdef class Chain:
                 rotation_vector(z1, z0, e)
             elif self.part_kind[k] == HEADING:
                 e[0] = remainder(z1[0] - z0[0], TAU)
+            elif self.part_kind[k] == AXIS:
+                arc(z1, z0, e)
             else:
                 for i in range(min(self.part_size[k], 3)):
                     e[i] = z1[i] - z0[i]

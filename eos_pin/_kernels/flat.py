@@ -8,11 +8,13 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
 
-from eos_pin._arrays import Array
+from eos_pin._arrays import Array, frozen_copy
 
-PartKind: TypeAlias = Literal["position", "orientation", "pose", "heading"]
+PartKind: TypeAlias = Literal["position", "orientation", "pose", "heading", "axis"]
 #: Number of each kind of part in the compiled kernels.
-KINDS: dict[str, int] = {"position": 0, "orientation": 1, "pose": 2, "heading": 3}
+KINDS: dict[str, int] = {"position": 0, "orientation": 1, "pose": 2, "heading": 3, "axis": 4}
+#: Axes of the frame of the pole, the third, from which the bases of all directions are carried along great circles.
+POLE = frozen_copy(pin.exp3(np.array([0.9, -0.5, 0.3])))
 
 
 class Part(NamedTuple):
@@ -22,11 +24,13 @@ class Part(NamedTuple):
         kind: Which function of the pose.
         frame: Number of the frame in the Pinocchio model.
         axes: For a position, the coordinates that count, some of 0, 1, 2.
+        direction: For an axis, its unit vector in the frame.
     """
 
     kind: PartKind
     frame: int
     axes: tuple[int, ...] = (0, 1, 2)
+    direction: tuple[float, ...] = (0.0, 0.0, 1.0)
 
 
 class FlatModel(NamedTuple):
@@ -78,6 +82,10 @@ def chain_arguments(model: pin.Model, parts: tuple[Part, ...]) -> tuple[Any, ...
     if flat is None:
         return None
     carried = [flat.carried(model, part.frame) for part in parts]
+    for (_, tip), part in zip(carried, parts, strict=True):
+        if part.kind == "axis":
+            # The kernel reads off the third axis.
+            tip[:9] = (tip[:9].reshape(3, 3) @ _turn_to(np.array(part.direction))).ravel()
     axes = [[*part.axes, -1, -1, -1][:3] for part in parts]
     joints, tips = [joint for joint, _ in carried], [tip for _, tip in carried]
     return (*flat[:3], joints, [KINDS[part.kind] for part in parts], axes, tips)

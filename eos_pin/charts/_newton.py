@@ -68,24 +68,27 @@ def newton(
         tol: Largest task error that may be left [m, rad].
         max_iterations: Most steps.
     """
-    u, B, last, keep = start.u, start.B, math.inf, True
+    u, B, last = start.u, start.B, math.inf
+    # Where the axes of the error turn from point to point, G' and the error must be those of one point.
+    curved = task.is_curved
+    keep = not curved
     q = base - U.dot(u)
     for iteration in range(max_iterations + 1):
         z_q, J = (task._value(q), None) if keep else task._linearize(q)
-        error = task._minus(z_q, z)
+        error = -task._minus(z, z_q) if curved else task._minus(z_q, z)
         residual = largest(error)
         # A step that leads away has left the neighbourhood of convergence, perhaps the chart. NaN ends here too.
         if residual <= tol or not residual < last:
             break
         # Once more with the same B the residual would fall by the same factor as before, to residual² / last.
-        if refresh and residual * residual > tol * last:
+        if curved or (refresh and residual * residual > tol * last):
             renewed = on_chart_inverse(task._linearize(q)[1] if J is None else J, U)
             if renewed is None:
                 return Inverse(q, u, start.B, iteration, math.inf)
             B = renewed
         # A step with a new B leads to about residual³ / last²; where the same B then does for one more, no Jacobian is
         # needed there.
-        keep = not refresh or residual**5 <= tol * last**4 < math.inf
+        keep = not curved and (not refresh or residual**5 <= tol * last**4 < math.inf)
         last = residual
         u, q = newton_step(base, U, u, B, error)
     return Inverse(q, u, B, iteration, residual if residual == residual else math.inf)

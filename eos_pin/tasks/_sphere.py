@@ -1,9 +1,10 @@
 """Directions: points of the sphere S², their tangent bases, logarithm, and the law of a direction that is tracked.
 
 The sphere has no frame that is smooth everywhere. The basis of a direction a is that of a fixed pole, carried to a
-along the great circle between them: it depends on a alone, and is smooth but at the point opposite to the pole, put
-where no tool is meant to point. Velocities are coordinates in the basis of the direction that moves; what is compared
-between two directions is compared in space, so that no motion depends on where the pole is.
+along the great circle between them: it depends on a alone, and is smooth but at the point opposite to the pole.
+Velocities are coordinates in the basis of the direction that moves. What is compared between two directions is compared
+in space, and what is solved has its error and its Jacobian in the basis of one direction, so that neither motions nor
+charts depend on where the pole is.
 """
 
 from __future__ import annotations
@@ -12,14 +13,12 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, TaskVector, Vector, as_floats, frozen_copy, vector
+from eos_pin._arrays import Array, TaskVector, Vector, as_floats, vector
+from eos_pin._kernels.flat import POLE
 from eos_pin.errors import InputError
 
-#: Axes of the pole's frame; the pole is the third.
-_POLE = frozen_copy(pin.exp3(np.array([0.9, -0.5, 0.3])))
 #: Least (sin θ)/θ in velocities across the great circle; it counts within 9° of the opposite direction only.
 _LEAST = 0.05
 
@@ -28,10 +27,9 @@ Basis = Float[np.ndarray, "2 3"]
 
 def basis(a: Float[np.ndarray, " 3"]) -> Basis:
     """Orthonormal basis of the plane normal to a direction, as rows; with the direction it is right-handed."""
-    x, y, z = a.dot(_POLE).tolist()
-    # Opposite to the pole itself any basis is as good.
-    c = 1.0 / (1.0 + z) if z > -1.0 else 0.0
-    return np.array([[1.0 - c * x * x, -c * x * y, -x], [-c * x * y, 1.0 - c * y * y, -y]]).dot(_POLE.T)
+    x, y, z = a.dot(POLE).tolist()
+    c = _share(x, y, z)
+    return np.array([[1.0 - c * x * x, -c * x * y, -x], [-c * x * y, 1.0 - c * y * y, -y]]).dot(POLE.T)
 
 
 def bending(a: Vector, dz: TaskVector) -> TaskVector:
@@ -41,10 +39,16 @@ def bending(a: Vector, dz: TaskVector) -> TaskVector:
         a: The direction.
         dz: Its velocity in its own basis [rad/s].
     """
-    x, y, z = a.dot(_POLE).tolist()
-    da = dz.dot(basis(a)).dot(_POLE)
-    rate = (x * float(da[1]) - y * float(da[0])) / (1.0 + z) if z > -1.0 else 0.0
+    x, y, z = a.dot(POLE).tolist()
+    da = dz.dot(basis(a)).dot(POLE)
+    rate = (x * float(da[1]) - y * float(da[0])) * _share(x, y, z)
     return np.array([-rate * dz[1], rate * dz[0]])
+
+
+def _share(x: float, y: float, z: float) -> float:
+    """1 / (1 + z) of a unit vector, exact near z = −1; there any basis is as good, and 0 gives one."""
+    square = x * x + y * y
+    return 1.0 / (1.0 + z) if z > 0.0 else (1.0 - z) / square if square > 0.0 else 0.0
 
 
 class Arc(NamedTuple):
@@ -127,11 +131,15 @@ def tracking_acceleration(
     return E.dot(dda) + bending(a, dz)
 
 
-def coordinates(a: Array, da: Array, dda: Array) -> tuple[Array, Array]:
-    """Velocity and acceleration of a moving direction in its own basis, from its derivatives in space; in rows."""
-    dz = np.array([basis(x).dot(y) for x, y in zip(a, da, strict=True)]).reshape(-1, 2)
-    ddz = [basis(x).dot(y) + bending(x, v) for x, y, v in zip(a, dda, dz, strict=True)]
-    return dz, np.reshape(ddz, (-1, 2))
+def coordinates(
+    a: Float[np.ndarray, "K 3"], da: Float[np.ndarray, "K 3"], dda: Float[np.ndarray, "K 3"]
+) -> tuple[Array, Array]:
+    """Velocities and accelerations of moving directions in their own bases, from their derivatives in space."""
+    (t, _), (dt, rate), (ddt, bend) = (np.hsplit(each @ POLE, [2]) for each in (a, da, dda))
+    c = np.array([_share(*each) for each in (a @ POLE).tolist()])[:, None]
+    # The basis is e = p − (p·a) c (a + pole) for p normal to the pole, so that e·ȧ = p·ȧ − (p·a) s with s = c pole·ȧ.
+    s = c * rate
+    return dt - t * s, ddt - dt * s - t * (c * bend - s * s)
 
 
 def direction(value: Any, name: str) -> Vector:

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from eos_pin._arrays import Array, Jacobian, TaskVector, checked
+from eos_pin._kernels.flat import Part
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks import _sphere
@@ -67,6 +68,9 @@ class AxisTask(Task, kind="axis"):
         dz = across.dot(omega)
         turning = across.dot(self.frame_acceleration(data, self._id).angular) + omega.dot(a) * E.dot(omega)
         return turning + _sphere.bending(a, dz)
+
+    def frame_parts(self) -> tuple[Part, ...] | None:
+        return (Part("axis", self._id, direction=self.axis),)
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return _sphere.log(z1, z0)

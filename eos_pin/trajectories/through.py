@@ -288,8 +288,9 @@ def _direction(s: Array, ds: Array, dds: Array) -> tuple[Array, Array, Array]:
     a = s / length
     rate = (a * ds).sum(axis=1)[:, None]
     da = (ds - a * rate) / length
-    # Along a itself nothing counts.
     dda = (dds - 2.0 * da * rate) / length
+    # Along a it is as a vector of constant length has it.
+    dda -= a * ((a * dda).sum(axis=1) + (da * da).sum(axis=1))[:, None]
     return a, *_sphere.coordinates(a, da, dda)
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import checks
 import numpy as np
 import pinocchio as pin
 import pytest
-from checks import EXACT
+from checks import EXACT, SOLVED
 
 from eos_pin import (
     Atlas,
@@ -16,11 +18,13 @@ from eos_pin import (
     InputError,
     LookAtTask,
     PointAxisTask,
+    Robot,
     SingularError,
     make_task,
     simulate,
     simulate_extended,
 )
+from eos_pin._kernels.dispatch import kernels
 from eos_pin.trajectories.through import waypoint_path
 
 
@@ -80,11 +84,54 @@ def test_axis_opposite_to_its_goal_turns_along_the_first_vector_of_its_basis(pan
 def test_axis_of_a_pole_has_an_orthonormal_basis_everywhere():
     from eos_pin.tasks import _sphere
 
-    pole = _sphere._POLE[:, 2]
-    for a in (pole, -pole, *np.eye(3), *-np.eye(3)):
+    pole, aside = _sphere.POLE[:, 2], _sphere.POLE[:, 0]
+    near = [math.sin(x) * aside - math.cos(x) * pole for x in (1e-3, 1e-6, 1e-8, 1e-12)]
+    for a in (pole, -pole, *near, *np.eye(3), *-np.eye(3)):
         frame = np.vstack((_sphere.basis(a), a))
         np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e2 * EXACT)
         assert np.isfinite(_sphere.bending(a, np.ones(2))).all()
+
+
+def test_axis_paths_need_the_same_charts_wherever_they_pass(panda):
+    """Robot and path are turned together, so that the path passes the pole's opposite or not."""
+    from eos_pin.tasks import _sphere
+
+    random, opposite = np.random.default_rng(3), -_sphere.POLE[:, 2]
+    q = checks.random_state(panda, 4)[0]
+    for _ in range(3):
+        start = AxisTask(panda, checks.tip(panda)).value(q)
+        across = np.cross(start, random.normal(size=3))
+        across /= np.linalg.norm(across)
+        path = np.array([math.cos(x) * start + math.sin(x) * across for x in np.linspace(0.0, 1.4, 30)])
+        found = []
+        for off in (0.0, 1e-6, 1e-2, None):
+            model = panda.model.copy()
+            if off is None:
+                turn = pin.exp3(random.normal(size=3))
+            else:
+                beside = math.cos(off) * opposite + math.sin(off) * np.cross(opposite, random.normal(size=3))
+                turn = pin.Quaternion.FromTwoVectors(path[15], beside).toRotationMatrix()
+            model.jointPlacements[1] = pin.SE3(turn, np.zeros(3)) * model.jointPlacements[1]
+            found.append(Atlas(AxisTask(Robot(model, "turned"), checks.tip(panda))).follow(q, path @ turn.T))
+        for other in found[:-1]:
+            assert other.complete
+            assert (len(other.charts), other.iterations) == (len(found[-1].charts), found[-1].iterations)
+            np.testing.assert_allclose(other.q, found[-1].q, atol=SOLVED)
+
+
+def test_axis_task_has_compiled_kinematics_also_opposite_to_the_pole(ur5):
+    from eos_pin.tasks import _sphere
+
+    task, random = PointAxisTask(ur5, "tool0", (1.0, 2.0, -0.5)), np.random.default_rng(0)
+    assert task.kinematics.compiled == bool(kernels)
+    near = [math.sin(x) * _sphere.POLE[:, 0] - math.cos(x) * _sphere.POLE[:, 2] for x in (1.0, 1e-3, 1e-6, 1e-12, 0.0)]
+    Z0 = np.c_[np.zeros((5, 3)), near]
+    Z1 = np.c_[np.zeros((5, 3)), [_sphere.direction(x, "x") for x in random.normal(size=(5, 3))]]
+    expected = np.array([task.minus(z1, z0) for z1, z0 in zip(Z1, Z0, strict=True)])
+    found = task.kinematics.minus(Z1, Z0)
+    np.testing.assert_allclose(found[:3], expected[:3], atol=1e-9)
+    # Where rounding decides how the basis is turned, lengths are right.
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), np.linalg.norm(expected, axis=1), atol=EXACT * 10)
 
 
 def test_direction_path_has_its_own_derivatives(ur5):
