@@ -124,6 +124,10 @@ class PlanError(EosError):
         return _rebuild, (type(self), self.args, self.__dict__)
 
 
+class HardwareError(EosError):
+    """Error that a robot reports, or command that it does not follow."""
+
+
 class ResultError(EosError):
     """Result file that is damaged, foreign, or of a version that cannot be read."""
 

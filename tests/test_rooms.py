@@ -23,7 +23,7 @@ TABLE = """
     trajectories    pinocchio ruckig scipy
     charts          scipy
     planning        coal pinocchio scipy toppra trimesh yaml
-    control         daqp scipy
+    control         daqp pylibfranka scipy
     simulation      mujoco pinocchio scipy
     experiments     joblib pinocchio pyarrow
     viewer          coal pinocchio tornado trimesh

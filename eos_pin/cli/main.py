@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     pass
 from eos_pin.cli.ik import ik
 from eos_pin.cli.plan import plan
+from eos_pin.cli.rehearse import rehearse
 from eos_pin.cli.replay import replay, robots
 from eos_pin.cli.track import compare, track
 
@@ -41,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words == ["--version"]:
         console.print(f"eos-pin {version('eos-pin')}")
         return 0
-    commands = {f.__name__: f for f in (track, plan, compare, sweep, info, ik, replay, robots)}
+    commands = {f.__name__: f for f in (track, plan, compare, sweep, rehearse, info, ik, replay, robots)}
 
     def command() -> int:
         _refuse_old_flags(words)

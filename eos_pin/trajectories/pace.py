@@ -66,6 +66,11 @@ class Clock:
         speed = change.before + gain * x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
         return place, speed, gain / change.ramp * 30.0 * (x * (1.0 - x)) ** 2
 
+    def changing(self, t: float) -> bool:
+        """Whether a change of speed is under way at time t."""
+        last = self.changes[-1]
+        return len(self.changes) > 1 and t < last.t + last.ramp
+
     def set_speed(self, t: float, speed: float, *, ramp: float = RAMP) -> None:
         """Change the speed from time t on; 0 is a pause, and negative speeds go back.
 
@@ -74,7 +79,7 @@ class Clock:
         """
         number(speed, "the speed")
         last = self.changes[-1]
-        if len(self.changes) > 1 and t < last.t + last.ramp:
+        if self.changing(t):
             raise InputError(
                 f"the speed is changing until {last.t + last.ramp:g} s; change it again from then on, not at {t:g} s"
             )
