@@ -26,7 +26,7 @@ def limits_of(robot: Robot, *, moving: bool = True) -> dict[str, Any]:
         moving: Whether velocities and torques are those of a motion; they have no limits otherwise.
     """
     bounds = {"lower": robot.lower, "upper": robot.upper}
-    bounds |= {name: values if moving else np.inf + 0.0 * values for name, values in _rates(robot).items()}
+    bounds |= {name: values if moving else np.full_like(values, np.inf) for name, values in _rates(robot).items()}
     return {
         "joints": [joint.name for joint in robot.joints],
         "units": ["m" if joint.kind == "prismatic" else "rad" for joint in robot.joints],

@@ -54,6 +54,16 @@ def test_limits_that_are_passed_are_told_with_joint_and_size():
     assert found["told"] == "passed: position by 0.6 m (c), torque 1.5 times (a)"
 
 
+def test_limits_of_a_robot_without_some_of_them_are_none_moving_or_not(panda):
+    model = panda.model.copy()
+    model.effortLimit, model.velocityLimit = np.full(7, np.inf), np.full(7, np.inf)
+    endless = replace(panda, model=model, source="", urdf_sha256="")
+    for moving in (True, False):
+        assert (
+            limits_of(endless, moving=moving)["torque"] == limits_of(endless, moving=moving)["velocity"] == [None] * 7
+        )
+
+
 @pytest.mark.parametrize(("upper", "beyond"), [(None, 0.5), (-1.0, 2.0)])
 def test_range_without_width_or_end_still_tells_what_is_passed(upper, beyond):
     q = Q - [1.0, 0.0, 0.0] if upper is None else Q
