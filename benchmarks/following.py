@@ -3,8 +3,8 @@
 * `repeat`: closed paths through a random posture within limits, by v that is held, posture control, and planned joints,
   all from the same joints and velocities on the path, and by Pink with a posture task, where it is set up (kinematics
   alone): how many repeat within limits from the first round, and how many stay within limits at all.
-* `joining`: from random postures at the first task point of a plan: joined and then repeating, or refused with a
-  reason.
+* `joining`: from random postures at the first task point of a plan: joined and then following, or refused with a
+  reason; each refusal is judged by something else, a walk along the manifold or a roadmap of it.
 * `disturbed`: pushes, pauses and changes of speed: how far from the plan the joints are in the end.
 
 Results are kept in the file of `--json` after each case; a run that was stopped goes on from there.
@@ -19,14 +19,19 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from lxml import etree
 from peers import PEERS, WORKERS, installed
 from rich.console import Console
 from rich.table import Table
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 from setting import FAR
 
 from eos_pin import (
@@ -35,11 +40,13 @@ from eos_pin import (
     FollowPlan,
     Plan,
     PoseTask,
+    PoseTrajectory,
     PositionTask,
     Posture,
     Robot,
     Task,
     TaskForce,
+    circle,
     journey,
     load_robot,
     plan,
@@ -194,16 +201,19 @@ def repeat(number: int, seed: int) -> dict[str, Any]:
     return row
 
 
-def example() -> Plan:
-    """A circle of Panda on which v that is held changes charts."""
-    from eos_pin import circle
-
+def example(pose: bool = False) -> Plan:
+    """A circle of Panda on which v that is held changes charts, with the hand's heading held or free."""
     robot = load_robot("panda", chain_to="panda_hand_tcp")
-    return plan(PositionTask(robot, "panda_hand_tcp"), circle([0.7, 0.0, 0.4], 0.3, period=4.0))
+    task: Task = PoseTask(robot, "panda_hand_tcp") if pose else PositionTask(robot, "panda_hand_tcp")
+    if not pose:
+        return plan(task, circle([0.7, 0.0, 0.4], 0.3, period=4.0))
+    z = task.value(np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8]))
+    return plan(task, PoseTrajectory(circle(z[:3], 0.15, period=4.0), pose=z))
 
 
-def joining(number: int, seed: int, found: Plan) -> dict[str, Any]:
-    """From a random posture within limits at the first task point."""
+def joining(number: int, seed: int, plans: tuple[Plan, Plan]) -> dict[str, Any]:
+    """From a random posture within limits at the first task point; every second plan is of a pose."""
+    found = plans[number % 2]
     task, robot = found.task, found.robot
     random = np.random.default_rng([seed, number])
     lower, upper = ranges(robot)
@@ -211,20 +221,103 @@ def joining(number: int, seed: int, found: Plan) -> dict[str, Any]:
     z = np.repeat(found.path(found.start).z[:, None], 200, axis=1)
     Q, good = manifold.search(random.uniform(lower, upper, (200, robot.n)).T, z, (lower, upper))
     q = Q[:, good][:, 0]
-    row: dict[str, Any] = {"number": number, "apart": float(np.abs(q - found(found.start).q).max())}
+    row: dict[str, Any] = {"number": number, "task": "pose" if number % 2 else "position"}
+    row["apart"] = float(np.abs(q - found(found.start).q).max())
+    began = time.perf_counter()
     try:
         way = journey(found, q)
     except EosError as error:
-        return row | {"outcome": "refused", "message": str(error)}
+        row["judged"] = (walked if number % 2 else mapped)(found, q)
+        return row | {"outcome": "refused", "message": str(error), "seconds": time.perf_counter() - began}
+    row["seconds"] = time.perf_counter() - began
+    # The motion that joins, by Pinocchio alone.
+    times = np.linspace(0.0, way.seconds, 400)
+    inside = all(((lower <= x) & (x <= upper)).all() for x in (way.joints(float(t)).q for t in times))
     controller = EosController(task, way.path, way.law())
     run = simulate(robot, controller, q, duration=way.seconds + 0.5 + found.period, rtol=1e-8, atol=1e-10)
     met = run.info["joint_distance"]
-    return row | {"outcome": "joined" if met["max"] < REPEATS else run.status, "message": run.message, **met}
+    outcome = "joined" if met["max"] < REPEATS and inside else "away"
+    return row | {"outcome": outcome, "message": run.message, "inside": inside, **met}
 
 
-def disturbed(number: int, seed: int, found: Plan) -> dict[str, Any]:
+def walked(found: Plan, q: np.ndarray) -> str:
+    """Whether walking along the self-motion of a pose, within limits, leads from joints to the start of a plan.
+
+    Pinocchio alone: steps along the null space of the frame's Jacobian, each corrected by Newton's method.
+    """
+    model, data = found.robot.model, found.robot.model.createData()
+    frame = model.getFrameId(str(found.robot.options["chain_to"]))
+    goal = found(found.start).q
+    pin.framesForwardKinematics(model, data, q)
+    place = data.oMf[frame].copy()
+    for sense in (1.0, -1.0):
+        x, last, away = q.copy(), None, False
+        for _ in range(20000):
+            J = pin.computeFrameJacobian(model, data, x, frame, pin.LOCAL)
+            along = np.linalg.svd(J)[2][-1]
+            along *= sense if last is None else np.sign(along @ last)
+            last, x = along, x + 0.005 * along
+            for _ in range(3):
+                pin.framesForwardKinematics(model, data, x)
+                error = pin.log6(data.oMf[frame].actInv(place)).vector
+                x = x + np.linalg.pinv(pin.computeFrameJacobian(model, data, x, frame, pin.LOCAL)) @ error
+            if np.abs(x - goal).max() < 0.01:
+                return "connected"
+            away = away or float(np.linalg.norm(x - q)) > 0.05
+            outside = ((x < model.lowerPositionLimit) | (x > model.upperPositionLimit)).any()
+            if outside or (away and np.linalg.norm(x - q) < 0.004):
+                break
+    return "apart"
+
+
+@cache
+def roadmap(found: Plan, count: int = 20000, pieces: int = 8) -> tuple[np.ndarray, np.ndarray]:
+    """Postures of a manifold within limits at the start of a plan, (K, n), its own first, and the part each is in.
+
+    Neighbours are connected where all postures on the straight line between them, put on the manifold, are within
+    limits and close to each other.
+    """
+    manifold, (lower, upper) = Manifold(found.task), ranges(found.robot)
+    z = found.path(found.start).z[:, None]
+    starts = np.random.default_rng(5).uniform(lower, upper, (3 * count, len(lower))).T
+    Q, good = manifold.search(starts, np.repeat(z, starts.shape[1], axis=1), (lower, upper))
+    Q = np.hstack((found(found.start).q[:, None], Q[:, good][:, :count]))
+    near = cKDTree(Q.T).query(Q.T, k=20)[1]
+    i, j = np.repeat(np.arange(Q.shape[1]), 19), near[:, 1:].ravel()
+    good = lined(manifold, z, Q[:, i], Q[:, j], lower, upper, pieces)
+    graph = coo_matrix((np.ones(good.sum()), (i[good], j[good])), shape=(Q.shape[1],) * 2)
+    return Q.T, connected_components(graph, directed=False)[1]
+
+
+def lined(
+    manifold: Manifold, z: np.ndarray, A: np.ndarray, B: np.ndarray, lower: np.ndarray, upper: np.ndarray, pieces: int
+) -> np.ndarray:
+    """Whether straight lines between postures, put on the manifold, stay within limits and are continuous."""
+    good, before = np.ones(A.shape[1], bool), A
+    longest = 0.02 + 2.5 * np.abs(B - A).max(axis=0) / pieces
+    for part in np.linspace(0.0, 1.0, pieces + 1)[1:]:
+        on, found = manifold.project(A + part * (B - A), z, iterations=8)
+        within = ((on >= lower[:, None] - 1e-9) & (on <= upper[:, None] + 1e-9)).all(axis=0)
+        good &= found & within & (np.abs(on - before).max(axis=0) < longest)
+        before = on
+    return good
+
+
+def mapped(found: Plan, q: np.ndarray) -> str:
+    """Whether a roadmap of the manifold connects joints with the start of a plan."""
+    Q, part = roadmap(found)
+    manifold, (lower, upper) = Manifold(found.task), ranges(found.robot)
+    near = Q[cKDTree(Q).query(q, k=20)[1]].T
+    z = found.path(found.start).z[:, None]
+    good = lined(manifold, z, np.repeat(q[:, None], 20, axis=1), near, lower, upper, 8)
+    own = part[cKDTree(Q).query(q, k=20)[1]][good]
+    return "not on the map" if not len(own) else "connected" if part[0] in own else "apart"
+
+
+def disturbed(number: int, seed: int, plans: tuple[Plan, Plan]) -> dict[str, Any]:
     """A push at a random time, and a pause and two changes of speed; the run ends three seconds after the last."""
     random = np.random.default_rng([seed, number])
+    found = plans[number % 2]
     task, clock = found.task, Clock()
     at, force = random.uniform(0.2, 1.0), random.normal(size=task.m) * 20.0
     pause, rest = random.uniform(1.0, 1.5), random.uniform(0.6, 1.0)
@@ -253,12 +346,12 @@ def told(command: str, rows: list[dict[str, Any]]) -> Table:
             counts = (sum(m["repeats"] for m in met), sum(m["inside"] for m in met), len(met))
             table.add_row(name, *map(str, counts))
         return table
-    for title in ("outcome", "cases", "furthest from the plan at the end"):
+    for title in ("outcome", "judged", "cases", "furthest from the plan at the end"):
         table.add_column(title)
-    for outcome in sorted({row["outcome"] for row in rows}):
-        met = [row for row in rows if row["outcome"] == outcome]
+    for outcome, judged_as in sorted({(row["outcome"], row.get("judged", "")) for row in rows}):
+        met = [row for row in rows if (row["outcome"], row.get("judged", "")) == (outcome, judged_as)]
         ends = [row["end"] for row in met if "end" in row]
-        table.add_row(outcome, str(len(met)), f"{max(ends):.1e}" if ends else "-")
+        table.add_row(outcome, judged_as or "-", str(len(met)), f"{max(ends):.1e}" if ends else "-")
     return table
 
 
@@ -275,8 +368,9 @@ def main() -> int:
     if options.command == "repeat":
         case: Callable[[int, int], dict[str, Any]] = repeat
     else:
-        found, one = example(), joining if options.command == "joining" else disturbed
-        case = lambda number, seed: one(number, seed, found)  # noqa: E731
+        both = example(), example(pose=True)
+        one = joining if options.command == "joining" else disturbed
+        case = lambda number, seed: one(number, seed, both)  # noqa: E731
     done = {row["number"] for row in rows}
     for number in range(options.count):
         if number in done:

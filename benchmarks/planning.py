@@ -2,7 +2,7 @@
 
 * `loops`: paths made by forward kinematics from random closed joint loops within limits, so that each has a solution. A
   plan must be found, keep the limits, and not cost more than the loop it was made from. What is checked is the table of
-  joints, by Pinocchio alone.
+  joints, by Pinocchio alone. Results are kept in the file of `--json` after each loop; a run that was stopped goes on.
 * `fourr`: Kazerounian and Wang's planar arm (1987), whose least ∫|dq/ds|² ds is known, from 20 seeds.
 * `iklink`: a path of 767 way points on which joints must jump; how few times.
 """
@@ -58,9 +58,11 @@ def random_loop(robot: Robot, random: np.random.Generator, count: int) -> np.nda
 
 def loops(options: argparse.Namespace) -> int:
     """Plans for paths of random joint loops."""
-    rows: list[dict[str, Any]] = []
+    kept: Path | None = options.json
+    rows: list[dict[str, Any]] = json.loads(kept.read_text()) if kept is not None and kept.exists() else []
+    done = {row["number"] for row in rows}
     arms = [name for name in ARMS if name in options.robots.split(",")]
-    for i in range(options.count):
+    for i in sorted(set(options.numbers or range(options.count)) - done):
         name = arms[i % len(arms)]
         robot = load_robot(name, chain_to=ARMS[name] or "auto")
         frame = robot.options["chain_to"]
@@ -201,6 +203,7 @@ def main() -> int:
     commands = parser.add_subparsers(required=True)
     one = commands.add_parser("loops")
     one.add_argument("--count", type=int, default=200)
+    one.add_argument("--numbers", type=int, nargs="*", help="these loops alone")
     one.add_argument("--points", type=int, default=160)
     one.add_argument("--robots", default=",".join(ARMS))
     two = commands.add_parser("fourr")

@@ -28,9 +28,9 @@ from eos_pin.errors import InputError, PlanError
 from eos_pin.experiments.options import RobotOptions, TaskOptions
 
 if TYPE_CHECKING:
+    from eos_pin.planning.attempts import Progress as Report
     from eos_pin.planning.obstacles.bodies import Bodies, Clearances
     from eos_pin.planning.obstacles.scene import Scene
-    from eos_pin.planning.planner import Progress as Report
     from eos_pin.planning.plans import Plan
     from eos_pin.robot.model import Robot
     from eos_pin.tasks.base import Task

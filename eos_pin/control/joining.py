@@ -8,13 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from eos_pin._arrays import Array, VectorLike, checked, vector
+from eos_pin._arrays import Array, JointVector, VectorLike, checked, vector
 from eos_pin.control.following import FollowJoints
 from eos_pin.errors import PlanError
 from eos_pin.planning.grid import UNLIMITED
+from eos_pin.planning.manifolds.passage import passage
 from eos_pin.planning.planner import MARGIN
 from eos_pin.planning.planner import plan as planned
 from eos_pin.planning.plans import Plan
+from eos_pin.planning.problem import problem_of
+from eos_pin.tasks.batch import Manifold
 from eos_pin.trajectories.base import JointTarget, Target, Trajectory
 from eos_pin.trajectories.pace import Clock, PacedJoints, PacedPath
 from eos_pin.trajectories.through import WaypointPath
@@ -23,8 +26,8 @@ from eos_pin.trajectories.through import WaypointPath
 NEAR = 1e-3
 #: Part of the velocity limits that joining uses, and its least time [s].
 PACE, SHORTEST = 0.3, 1.0
-#: Points of a motion that joins.
-POINTS = 25
+#: Points of a motion of the task that joins, and distance from the start below which there is none [m, rad].
+POINTS, THERE = 25, 1e-7
 
 
 @dataclass(frozen=True)
@@ -93,22 +96,16 @@ def journey(plan: Plan, q: VectorLike, **options: Any) -> Journey:
             way. The task would follow the path all the same, but the joints would stay away from the plan.
     """
     plan.check_continuous()
-    joints = vector(q, plan.robot.n, "q")
     begin = plan(plan.start).q
+    joints = plan.robot._unwrap(vector(q, plan.robot.n, "q"), begin)
     if np.abs(joints - begin).max() <= NEAR:
         clock = Clock(0.0, plan.start)
         return Journey(plan, None, 0.0, PacedPath(plan.path, clock), PacedJoints(plan, clock), clock)
-    task = plan.task
-    z0, z1 = task._value(joints), plan.path(plan.start).z
-    way = task._minus(z1, z0)
     # A robot that stands near a limit may leave it from there.
     room = min(float(np.minimum(row - plan.robot.lower, plan.robot.upper - row).min()) for row in (joints, begin))
     options = {"margin": max(0.0, min(MARGIN, 0.99 * room)), **options}
-    parts = np.linspace(0.0, 1.0, POINTS)
-    points = np.array([task._plus(z0, part * way) for part in parts])
-    line = WaypointPath(task, points, parts)
     try:
-        found = planned(task, line, closed=False, start=joints, end=begin, keep_time=False, **options)
+        found = _led(plan, joints, begin, options)
     except PlanError as error:
         apart = float(np.abs(joints - begin).max())
         raise PlanError(
@@ -129,6 +126,33 @@ def journey(plan: Plan, q: VectorLike, **options: Any) -> Journey:
     return Journey(
         plan, found, seconds, _Then(first[0], second[0], seconds), _after(first[1], second[1], seconds), clock
     )
+
+
+def _led(plan: Plan, joints: JointVector, begin: JointVector, options: dict[str, Any]) -> Plan:
+    """Motion from joints to the start of a plan: of the task first, then along the manifold with the task in place."""
+    task = plan.task
+    z0, z1 = task._value(joints), plan.path(plan.start).z
+    way = task._minus(z1, z0)
+    Z, Q = z0[None], joints[None]
+    if np.abs(way).max() > THERE:
+        parts = np.linspace(0.0, 1.0, POINTS)
+        Z = np.array([task._plus(z0, part * way) for part in parts])
+        line = WaypointPath(task, Z, parts)
+        try:
+            return planned(task, line, closed=False, start=joints, end=begin, keep_time=False, **options, effort=1)
+        except PlanError:
+            # The task may arrive on another part of the manifold than the plan, and the joints go on from there.
+            Q = planned(task, line, closed=False, start=joints, keep_time=False, **options).at_waypoints()
+    given = {"scene": None, "bodies": None, "self_collision": False, "clearance": 0.0, "limits": None} | options
+    names = ("scene", "bodies", "self_collision", "clearance", "margin", "limits")
+    kept: dict[str, Any] = {name: given[name] for name in names}
+    problem = problem_of(Manifold(task), **kept, cost=None, weights=1.0)
+    led = passage(problem, z1, Q[-1], begin, int(options.get("seed", 0)))
+    if led.q is None:
+        raise PlanError(led.reason)
+    Z, Q = np.concatenate((Z, np.repeat(z1[None], len(led.q) - 1, axis=0))), np.concatenate((Q, led.q[1:]))
+    line = WaypointPath(task, Z, np.linspace(0.0, 1.0, len(Z)))
+    return planned(task, line, closed=False, start=joints, end=begin, guess=Q, keep_time=False, **options)
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,13 @@ def test_refusal_advises_range_of_the_joint_that_ends_the_path(two_links):
     assert 0.9 < refused.value.reached < 1.0
 
 
+def test_refusal_is_confirmed_with_twice_the_points_and_postures(two_links):
+    path = [[x, 0.1] for x in np.linspace(1.2, 2.4, 7)]
+    with pytest.raises(PlanError, match="twice as many points and postures found none") as refused:
+        plan(PositionTask(two_links, "link3", "xy"), path, effort=2)
+    assert refused.value.waypoint == 3
+
+
 def test_refusal_names_the_way_point_out_of_reach(task):
     path = [[x, 0.1 * k, 0.4] for k, x in enumerate((0.4, 0.55, 0.7, 1.4, 0.7, 0.55, 0.4))]
     with pytest.raises(PlanError, match="reach") as refused:
