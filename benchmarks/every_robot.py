@@ -38,7 +38,7 @@ from eos_pin.cli.output import (
 from eos_pin.errors import InputError
 from eos_pin.experiments.defaults import TaskKind, fitting_path, make_task, rest_posture
 from eos_pin.robot.library import NamedRobot
-from eos_pin.robot.urdf import read_urdf
+from eos_pin.robot.reading.urdf import read_urdf
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "robots.md"
 #: A pose needs this many joints.

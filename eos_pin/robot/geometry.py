@@ -25,8 +25,8 @@ import pinocchio as pin
 from lxml import etree
 
 from eos_pin.errors import RobotError
-from eos_pin.robot._checking import Checker
 from eos_pin.robot.library import example_robots
+from eos_pin.robot.reading.checking import Checker
 
 #: The shapes a URDF can have, and how many numbers each of their attributes holds.
 SHAPES: dict[str, dict[str, int]] = {

@@ -24,14 +24,14 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin.errors import InputError, RobotError, UnknownNameError
-from eos_pin.robot._mjcf import NO_SHAPES, is_mjcf, locked_model, read_mjcf
 from eos_pin.robot._parts import default_frame_of, find_frame, leaves_of
-from eos_pin.robot._planar import without_planar
 from eos_pin.robot.geometry import Shapes, quiet, resolve_shapes
 from eos_pin.robot.library import available_robots, find_robot
 from eos_pin.robot.model import Robot
 from eos_pin.robot.notes import Notes, is_physical, oddities
-from eos_pin.robot.urdf import Urdf, read_urdf, read_urdf_text
+from eos_pin.robot.reading.mjcf import NO_SHAPES, is_mjcf, locked_model, read_mjcf
+from eos_pin.robot.reading.planar import without_planar
+from eos_pin.robot.reading.urdf import Urdf, read_urdf, read_urdf_text
 
 T = TypeVar("T")
 #: A robot by name, path or text.

@@ -18,7 +18,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from eos_pin.errors import EosError, InputError, RobotError, UnknownNameError
-from eos_pin.robot._checking import DEEPEST_TREE
 from eos_pin.robot.library import available_robots, example_robots
 from eos_pin.robot.loading import (
     Payload,
@@ -27,6 +26,7 @@ from eos_pin.robot.loading import (
     leaf_frames,
     load_robot,
 )
+from eos_pin.robot.reading.checking import DEEPEST_TREE
 
 EXACT = 1e-11
 ROBOTS = {robot.name: robot for robot in available_robots()}

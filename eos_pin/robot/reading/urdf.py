@@ -18,9 +18,9 @@ import pinocchio as pin
 from lxml import etree
 
 from eos_pin.errors import RobotError, UnknownNameError
-from eos_pin.robot._checking import UNLIMITED, Checker, UrdfJoint, plain
-from eos_pin.robot._markup import parse, text_of, undeclared
 from eos_pin.robot.notes import Notes
+from eos_pin.robot.reading.checking import UNLIMITED, Checker, UrdfJoint, plain
+from eos_pin.robot.reading.markup import parse, text_of, undeclared
 
 #: A URDF is text about some hundred parts; more than this is something else [bytes].
 LARGEST_FILE = 64 * 2**20

@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from eos_pin.robot._checking import UrdfJoint, plain
 from eos_pin.robot.notes import Notes
-from eos_pin.robot.urdf import Urdf
+from eos_pin.robot.reading.checking import UrdfJoint, plain
+from eos_pin.robot.reading.urdf import Urdf
 
 
 def without_planar(urdf: Urdf, kept: Collection[str]) -> Urdf:

@@ -1,0 +1,1 @@
+"""Files that describe robots, read and checked: URDF and MJCF."""
