@@ -6,6 +6,15 @@ cdef enum:
     MOST_PARTS = 6
 
 
+#: Kinds of parts, as in `eos_pin._kernels.flat`.
+cdef enum:
+    POSITION = 0
+    ORIENTATION = 1
+    POSE = 2
+    HEADING = 3
+    AXIS = 4
+
+
 cdef class Chain:
     cdef readonly int n, m, size
     cdef int active_count, parts

@@ -18,14 +18,6 @@ from eos_pin._kernels import plain
 cdef double DAMPING = plain.DAMPING, FLOOR = plain.FLOOR, LONGEST = plain.LONGEST
 cdef int PATIENCE = plain.PATIENCE
 
-#: Kinds of parts, as in `eos_pin._kernels.flat`.
-cdef enum:
-    POSITION = 0
-    ORIENTATION = 1
-    POSE = 2
-    HEADING = 3
-    AXIS = 4
-
 cdef double TAU = 6.283185307179586
 #: Most joints and most coordinates of a task that the kernels take.
 LARGEST = MOST_JOINTS, MOST_ROWS

@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Logarithms of rotations and of directions, and the tangent bases of directions."""
+"""Logarithms and exponentials of rotations and of directions, and the tangent bases of directions."""
 
-from libc.math cimport atan2, sqrt
+from libc.math cimport atan2, cos, sin, sqrt
 
 from eos_pin._kernels import flat
 
@@ -38,6 +38,21 @@ cdef void rotation_vector(const double* R1, const double* R0, double* e) noexcep
     e[0], e[1], e[2] = scale * x, scale * y, scale * z
 
 
+cdef void rotate(const double* e, const double* R, double* out) noexcept nogil:
+    """R turned by the rotation vector e, again by way of the quaternion: 1 + 2w [v] + 2 [v]² is the turn."""
+    cdef double angle = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
+    cdef double w = cos(0.5 * angle), s = sin(0.5 * angle) / angle if angle > 0.0 else 0.5
+    cdef double x = s * e[0], y = s * e[1], z = s * e[2]
+    cdef double a, b, c, p, q, r
+    cdef int j
+    for j in range(3):
+        a, b, c = R[j], R[3 + j], R[6 + j]
+        p, q, r = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+        out[j] = a + w * p + y * r - z * q
+        out[3 + j] = b + w * q + z * p - x * r
+        out[6 + j] = c + w * r + x * q - y * p
+
+
 cdef void tangents(const double* a, double* E) noexcept nogil:
     """`eos_pin.tasks._sphere.basis`: the two tangent vectors at a direction, row by row."""
     cdef double x = a[0] * POLE[0] + a[1] * POLE[3] + a[2] * POLE[6]
@@ -64,3 +79,18 @@ cdef void arc(const double* a1, const double* a0, double* e) noexcept nogil:
         e[0], e[1] = angle / sine * e[0], angle / sine * e[1]
     else:
         e[0], e[1] = angle, 0.0
+
+
+cdef void follow_arc(const double* a, const double* e, double* out) noexcept nogil:
+    """Exponential on the sphere: the direction that a step from a leads to."""
+    cdef double E[6]
+    cdef double angle = sqrt(e[0] * e[0] + e[1] * e[1]), length = 0.0
+    cdef double c = cos(angle), s = sin(angle) / angle if angle > 0.0 else 1.0
+    cdef int i
+    tangents(a, E)
+    for i in range(3):
+        out[i] = c * a[i] + s * (e[0] * E[i] + e[1] * E[3 + i])
+        length += out[i] * out[i]
+    length = sqrt(length)
+    for i in range(3):
+        out[i] /= length

@@ -24,6 +24,7 @@ COMPILED = {
     ),
     "_chain": ("Chain", "LARGEST"),
     "_solids": ("distances",),
+    "_step": ("KinematicStep",),
     "_trace": ("nearest", "tangents", "trace"),
 }  # fmt: skip
 

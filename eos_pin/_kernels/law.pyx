@@ -129,18 +129,6 @@ cdef class AccelerationMap:
         runaway, braking: Joint speed beyond which self-motion is braked, and how much.
     """
 
-    cdef int n, m, room
-    cdef double most, fast, runaway, braking
-    cdef double *Vt
-    cdef double *Qt
-    cdef double *J
-    cdef double *F
-    cdef double *A
-    cdef double *x
-    cdef double *work
-    cdef int *pivots
-    cdef tuple made_from, kept
-
     def __init__(self, Vt, Qt, double most, double fast, double runaway, double braking):
         self.made_from = Vt, Qt, most, fast, runaway, braking
         self.m, self.n = Qt.shape

@@ -31,7 +31,7 @@ from eos_pin.charts._newton import Inverse, walk
 from eos_pin.charts.chart import Chart
 from eos_pin.charts.search import Search
 from eos_pin.charts.solutions import STRATEGIES, IkSolution, JointPath, Strategy
-from eos_pin.errors import InputError, InverseError, Renamed
+from eos_pin.errors import InputError, InverseError, Renamed, SingularError
 from eos_pin.robot.postures import JointsLike
 from eos_pin.tasks.base import Point, PointLike, Task
 
@@ -78,6 +78,14 @@ class Atlas(Checked):
     def holds(self, chart: Chart, J: Jacobian, q: JointVector | None = None) -> bool:
         """Whether `chart` still serves where the Jacobian is J and, if they are given, at these joints."""
         return chart._contains(J, self.threshold) and (q is None or chart._room(q) > 0.0)
+
+    @checked
+    def serves(self, chart: Chart, J: Jacobian) -> bool:
+        """Whether `chart` holds where the Jacobian is J, or none can be made there to take its place."""
+        try:
+            return self._holds(chart, J)
+        except SingularError:
+            return True
 
     @checked
     def follow(
@@ -199,7 +207,7 @@ class Atlas(Checked):
             raise InputError(f"points must be at least 1 and tries at least 0, got {points} and {tries}")
         return Search(self.task, self.follow, q, z, v, chart, points, tries, seed, tol).best(strategies)
 
-    _holds = unchecked(holds)
+    _holds, _serves = unchecked(holds), unchecked(serves)
     reach = Renamed("solve")
 
 

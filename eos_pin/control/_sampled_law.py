@@ -17,7 +17,7 @@ class SelfTargets:
     """Targets of the self-motion, v or joints, around one step; none for a law that is an acceleration.
 
     Attributes:
-        of: Whose targets they are.
+        of: Whose targets they are; the law itself where it is an acceleration.
         period: Control period [s].
         now: Target at the step.
         ahead: Target a period later.
@@ -26,7 +26,7 @@ class SelfTargets:
         joints: Whether the targets are joints.
     """
 
-    of: object
+    of: Any
     period: float
     now: Any = None
     ahead: Any = None
@@ -34,17 +34,24 @@ class SelfTargets:
     factors: Any = None
     joints: bool = False
 
-    def acceleration(self, robot: Robot, chart: Chart, q: JointVector, u: JointVector, before: Any) -> SelfMotionVector:
+    def acceleration(
+        self, t: float, robot: Robot, chart: Chart, q: JointVector, u: JointVector, before: Any
+    ) -> SelfMotionVector:
         """Acceleration asked of v over the period.
 
         Args:
+            t: Time of the step [s].
             robot: The robot.
             chart: The chart.
             q: Joints.
             u: Their velocities over the period before.
-            before: Target at the step before.
+            before: Target at the step before; None where that was another's.
         """
+        if self.factors is None:
+            found: SelfMotionVector = self.of.acceleration(t, q, u, chart)
+            return found
         h, (a1, a2) = self.period, self.factors
+        before = self.before if before is None else before
         if self.joints:
             # Differences, as the way to a posture half a turn off is shortened.
             error = robot._way(q, self.now)

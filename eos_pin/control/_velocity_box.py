@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from eos_pin._arrays import JointVector, Vector
+from eos_pin.control.limited import JointLimits
+from eos_pin.errors import InputError
 
 #: Part of its distance by which a joint beyond an end comes back in a period.
 RETURN = 0.1
@@ -23,29 +25,33 @@ class VelocityBox:
     """Intervals of the next velocities within limits.
 
     Args:
-        lower: Lower positions, (n,) [rad or m].
-        upper: Upper positions, (n,).
-        velocity: Largest speeds, (n,) [rad/s or m/s].
-        acceleration: Largest accelerations, (n,) [rad/s² or m/s²], finite.
-        braking: Decelerations with which a joint is stopped before an end, (n,), no larger than those.
+        limits: The limits; joints brake before an end as it is said there, but no harder than the acceleration allows.
+        n: Number of joints.
         period: Control period [s].
+
+    Raises:
+        InputError: The limits are for another number of joints, or one of acceleration is infinite.
     """
 
-    def __init__(
-        self,
-        lower: JointVector,
-        upper: JointVector,
-        velocity: JointVector,
-        acceleration: JointVector,
-        braking: JointVector,
-        period: float,
-    ) -> None:
-        self._ends = np.concatenate((upper, -lower)) - ROUNDING
-        self._fastest = np.tile(velocity, 2)
-        self._change = period * np.tile(acceleration, 2)
-        self._brake = period * np.tile(braking, 2)
-        self._period, self._n = period, lower.size
+    def __init__(self, limits: JointLimits, n: int, period: float) -> None:
+        if limits.lower.size != n:
+            raise InputError(f"the limits are for {limits.lower.size} joints, the robot has {n}")
+        if not np.isfinite(limits.acceleration).all():
+            raise InputError(
+                "a kinematic loop needs a finite limit of every acceleration. Give "
+                "limits=JointLimits.without_torques(robot, acceleration=…)"
+            )
+        self._ends = np.concatenate((limits.upper, -limits.lower)) - ROUNDING
+        self._fastest = np.tile(limits.velocity, 2)
+        self._change = period * np.tile(limits.acceleration, 2)
+        self._brake = period * np.tile(np.minimum(limits.braking, limits.acceleration), 2)
+        self._period, self._n = period, n
         self._per_way = 8.0 / (period * self._brake)
+
+    @property
+    def arrays(self) -> tuple[Vector, Vector, Vector, Vector]:
+        """Ends of both ways, largest speeds, changes of velocity in a period, and those of braking, (2n,) each."""
+        return self._ends, self._fastest, self._change, self._brake
 
     def __call__(self, q: JointVector, u: JointVector) -> tuple[JointVector, JointVector]:
         """Least and largest next velocity.

@@ -237,17 +237,10 @@ class EosController(TaskController):
             q, turned = state.chart._unwrap(q), state.chart._room(q) <= 0.0
         ddq, margin, J = self._drive(t, q, dq, state)
         # The bound that comes with the acceleration saves the chart's exact margin nearly always.
-        if turned or (margin <= self.atlas.threshold and not self._holds(state.chart, J)):
+        if turned or (margin <= self.atlas.threshold and not self.atlas._serves(state.chart, J)):
             state = self._update(t, q, dq, state)
             ddq, _, J = self._drive(t, q, dq, state)
         return self._within(q, dq, ddq, J)[0], state
-
-    def _holds(self, chart: Chart, J: Jacobian) -> bool:
-        """Whether the chart serves; where no chart can be made, the one there is does."""
-        try:
-            return self.atlas.holds(chart, J)
-        except SingularError:
-            return True
 
     _asked, _compiled_law = unchecked(asked), unchecked(compiled_law)
 

@@ -11,7 +11,6 @@ import numpy as np
 from eos_pin._arrays import (
     Jacobian,
     JointVector,
-    SelfMotionVector,
     TaskVector,
     VectorLike,
     frozen_copy,
@@ -21,6 +20,7 @@ from eos_pin._arrays import (
 )
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
+from eos_pin.control._ordinary_step import compiled_step
 from eos_pin.control._regularize import AccelerationMap
 from eos_pin.control._sampled_law import SelfTargets, decay
 from eos_pin.control._smallest_change import SmallestChange
@@ -39,6 +39,8 @@ SOLVED, STEPS = 1e-28, 3
 SAME_TIME, LATE = 1e-12, 0.01
 #: Largest change of the pace in a second [1/s].
 PACE_RATE = 20.0
+#: What may be assigned while the loop runs, of which steps are compiled.
+CHANGING = {"kp", "kd", "reference", "self_motion", "limits"}
 #: Bound that counts as none in the quadratic program.
 NONE = 1e30
 
@@ -126,6 +128,7 @@ class KinematicLoop:
         self._eye = np.eye(task.robot.n)
         self.pace: float = 1.0
         self._ahead: tuple[Any, float, Target] | None = None
+        self._version = object()
         self._box: VelocityBox
         self._decay: tuple[Any, Any]
         self.reference: Trajectory
@@ -147,14 +150,29 @@ class KinematicLoop:
         elif name == "self_motion":
             value.check(n, n - m)
         elif name == "limits":
-            object.__setattr__(self, "_box", _box(value, n, self._period))
+            object.__setattr__(self, "_box", VelocityBox(value, n, self._period))
         elif name == "pace":
             value = number(value, "the pace", at_least=0.0)
         elif name in ("task", "robot", "atlas") and name in vars(self):
             raise InputError(f"the {name} of a KinematicLoop cannot be changed; make another loop")
         object.__setattr__(self, name, value)
+        if name in CHANGING:
+            self.renew()
         if name in ("kp", "kd") and {"kp", "kd"} <= set(vars(self)):
             object.__setattr__(self, "_decay", decay(self.kp, self.kd, self._period))
+
+    def renew(self) -> None:
+        """Drop the compiled step and its copies of gains, targets and limits; an objective calls it when it changes."""
+        object.__setattr__(self, "_version", object())
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What is compiled is made anew where it is unpickled.
+        state = self._state and self._state._replace(on=replace(self._state.on, law=None, made_of=None))
+        return {**vars(self), "_state": state}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.renew()
 
     # -- reports -----------------------------------------------------------------------------------------------------
 
@@ -211,11 +229,14 @@ class KinematicLoop:
             SingularError: The task is singular in the first state of a run.
             PlanError: The joints are too far from those to follow in the first state of a run.
         """
+        state = self._state
+        if state is not None and (following := self._ordinary(t, q, state)) is not None:
+            self._state = following
+            return Command(following.q.copy(), following.dq.copy())
         try:
             seen = np.array(vector(q, self.robot.n, "q"))
         except InputError as error:
             raise StateError(f"no command for this state: {error}") from None
-        state = self._state
         if state is None:
             if not math.isfinite(t):
                 raise StateError(f"no command at this time: it must be finite, got {t!r}")
@@ -228,8 +249,17 @@ class KinematicLoop:
                 )
             if t == state.t:
                 return Command(state.q.copy(), state.dq.copy())
-            state = self._seen(state, self.robot._unwrap(seen, state.q))
-        self._state = self._next(t, state)
+            seen = self.robot._unwrap(seen, state.q)
+            try:
+                state = state.seen(seen, self.robot, self._period, self._jump, self._most_lag)
+            except StateError:
+                # If it was a jump, the next state is believed if it is near this one.
+                self._state = state._replace(measured=seen)
+                raise
+        state = self._next(t, state)
+        if state.on.made_of is not self._version and not state.limited:
+            state = state._replace(on=replace(state.on, law=self._step_on(state.on), made_of=self._version))
+        self._state = state
         return Command(self._state.q.copy(), self._state.dq.copy())
 
     def _begun(self, t: float, q: JointVector) -> KinematicState:
@@ -240,27 +270,28 @@ class KinematicLoop:
         on = EosState(drive=AccelerationMap(chart), since=t)
         return KinematicState(t, q, rest, q, z, on, np.zeros(self.task.m), False, 0.0, z, z, None)
 
-    def _seen(self, state: KinematicState, q: JointVector) -> KinematicState:
-        """The state with new measured joints."""
-        moved = np.abs(q - state.measured)
-        # If it is a jump, the next state is believed if it is near this one.
-        allowed = self._jump + 2.0 * np.abs(state.dq) * self._period
-        joint = int(np.argmax(moved - allowed))
-        if moved[joint] > allowed[joint]:
-            self._state = replace(state, measured=q)
-            raise StateError(
-                f"no command for this state: q[{joint}] jumped by {moved[joint]:.3g}, more than {allowed[joint]:.3g}. "
-                "If the next state agrees with this one, the loop goes on"
-            )
-        away = np.abs(q - state.q)
-        joint = int(np.argmax(away))
-        if away[joint] > self._most_lag:
-            raise StateError(
-                f"no command for this state: joint {self.robot.joints[joint].name!r} is {away[joint]:.3g} away from "
-                f"its command, more than {self._most_lag:.3g}; the robot does not follow. reset() the loop to begin "
-                "where it is"
-            )
-        return replace(state, measured=q, lag=float(away[joint]))
+    def _ordinary(self, t: float, q: VectorLike, state: KinematicState) -> KinematicState | None:
+        """State after the step at time t where nothing is out of the ordinary; None where `_next` is to look."""
+        on, h, pace = state.on, self._period, state.pace
+        if on.law is None or on.made_of is not self._version or pace != self.pace:
+            return None
+        if not abs(t - state.t - h) <= LATE * h:
+            return None
+        s = t - state.behind - (1.0 - pace) * (t - state.t)
+        z_d, z_d_ahead, asked, v_d, of = self._target(s).z, self._target(s + h * pace).z, None, None, None
+        if on.law.held is None:
+            law = self.self_motion.sampled_targets(s, h, h * pace, self.robot.n - self.task.m)
+            v_d, of, before = law.now, law.of, state.v_d if state.objective is law.of else None
+            asked = law.acceleration(t, self.robot, on.chart, state.q, state.dq, before)
+        more = None if on.carried is None else on.left(t, state.dq)
+        found: KinematicState | None = on.law(t, state, q, z_d, z_d_ahead, asked, more, v_d, of)
+        return found
+
+    def _step_on(self, on: EosState) -> Any:
+        """The compiled step on a chart; None where there is none."""
+        self.self_motion._add_user(self)
+        settings = self._period, self._jump, self._most_lag, SOLVED, STEPS
+        return compiled_step(on, self.reference, self.self_motion, self.atlas, self._decay, self._box, settings)
 
     def _next(self, t: float, state: KinematicState) -> KinematicState:
         """State after the step at time t."""
@@ -273,7 +304,7 @@ class KinematicLoop:
         # Where the last target is another's or of another time, the velocity takes its place.
         z_d_before = state.z_d if known else task._plus(now.z, -h * pace * now.dz)
         if not known or state.objective is not law.of or state.v_d is None:
-            state = replace(state, v_d=law.before)
+            state = state._replace(v_d=law.before)
         a1, a2 = self._decay
         error = a1 * task._minus(now.z, state.z) - a2 * task._minus(z_d_before, state.z_before)
         p = q + h * u
@@ -327,35 +358,23 @@ class KinematicLoop:
     ) -> tuple[JointVector, EosState, bool]:
         """Joint acceleration of the law, the chart it is on from here, and whether no direction fades."""
         q, u, on = state.q, state.dq, state.on
-
-        def law(chart: Chart) -> SelfMotionVector:
-            if v_d.factors is None:
-                return self.self_motion.acceleration(t, q, u, chart)
-            return v_d.acceleration(self.robot, chart, q, u, state.v_d)
-
-        F_v = law(on.chart)
+        F_v = v_d.acceleration(t, self.robot, on.chart, q, u, state.v_d)
         if (more := on.left(t, u)) is not None:
             F_v = F_v + more
         a, margin = on.drive(J, np.concatenate((asked, F_v)), u)
         turned = self.robot.turns and on.chart._room(q) <= 0.0
-        if not turned and (margin > self.atlas.threshold or self._holds(on.chart, J)):
+        if not turned and (margin > self.atlas.threshold or self.atlas._serves(on.chart, J)):
             return a, on, margin > 0.0
         try:
             chart = self.atlas.next(on.chart, q)
         except SingularError:
             return a, on, margin > 0.0
         # The acceleration is continuous: what the law asks for otherwise on the new chart is forgotten by and by.
-        F_v = law(chart)
+        F_v = v_d.acceleration(t, self.robot, chart, q, u, state.v_d)
         carried = chart._dv(a) - F_v
         on = EosState(drive=AccelerationMap(chart), number=on.number + 1, since=t, carried=carried)
         a, margin = on.drive(J, np.concatenate((asked, F_v + carried)), u)
         return a, on, margin > 0.0
-
-    def _holds(self, chart: Chart, J: Jacobian) -> bool:
-        try:
-            return self.atlas.holds(chart, J)
-        except SingularError:
-            return True
 
     def _change(self, J: Jacobian, least: JointVector, most: JointVector) -> JointVector:
         """Smallest change of accelerations into their bounds."""
@@ -378,15 +397,3 @@ class KinematicLoop:
             q = q + more
             z = self.task._value(q)
         return q, z
-
-
-def _box(limits: JointLimits, n: int, period: float) -> VelocityBox:
-    if limits.lower.size != n:
-        raise InputError(f"the limits are for {limits.lower.size} joints, the robot has {n}")
-    if not np.isfinite(limits.acceleration).all():
-        raise InputError(
-            "a kinematic loop needs a finite limit of every acceleration. Give "
-            "limits=JointLimits.without_torques(robot, acceleration=…)"
-        )
-    braking = np.minimum(limits.braking, limits.acceleration)
-    return VelocityBox(limits.lower, limits.upper, limits.velocity, limits.acceleration, braking, period)

@@ -136,6 +136,7 @@ class Track(Objective):
         #: Controllers that are told when something is assigned, and make anew what they made of the old values.
         self.users: WeakSet[Any] = WeakSet()
         self._laws: dict[int, tuple[SelfMotionVector, SelfMotionVector, Trajectory]] = {}
+        self._factors: tuple[Any, Any] = (None, None)
         self.reference: Trajectory | None
         self.reference, self.kp, self.kd = reference, kp, kd  # type: ignore[assignment]
 
@@ -204,7 +205,11 @@ class Track(Objective):
 
     def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
         kp, kd, reference = self._law(r)
-        factors = decay(kp, kd, period)
+        made_of, factors = self._factors
+        # The gains are others after every assignment.
+        if made_of is None or made_of[0] is not kp or made_of[1] is not kd or made_of[2] != period:
+            factors = decay(kp, kd, period)
+            self._factors = (kp, kd, period), factors
         if (held := reference.constant) is not None:
             return SelfTargets(reference, period, held, held, held, factors)
         at, later = reference(t), reference(t + step)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from eos_pin._arrays import JointVector, SelfMotionVector, TaskVector
 from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import AccelerationMap
+from eos_pin.errors import StateError
+from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Point
 
 #: Rate at which the acceleration that is carried over to the next chart is forgotten [1/s], and that for every radian
@@ -51,9 +55,11 @@ class EosState:
         return math.exp(rate * (self.since - t)) * self.carried
 
 
-@dataclass(frozen=True, eq=False)
-class KinematicState:
-    """Memory of a `KinematicLoop` from one step to the next: the last command, and the targets it had."""
+class KinematicState(NamedTuple):
+    """Memory of a `KinematicLoop` from one step to the next: the last command, and the targets it had.
+
+    The compiled `KinematicStep` takes it and makes the next one; a tuple, as that is the quickest.
+    """
 
     t: float
     q: JointVector
@@ -73,3 +79,33 @@ class KinematicState:
     # Pace of the path over the last period, and how far path time is behind at its start [s].
     pace: float = 1.0
     behind: float = 0.0
+
+    def seen(self, q: JointVector, robot: Robot, period: float, jump: float, most_lag: float) -> KinematicState:
+        """The state with new measured joints.
+
+        Args:
+            q: The joints, by the angles nearest to the command.
+            robot: The robot.
+            period: Control period [s].
+            jump: Distance by which a measured joint may move [rad or m].
+            most_lag: Distance by which it may be away from its command [rad or m].
+
+        Raises:
+            StateError: A joint jumped, or does not follow its command.
+        """
+        moved = np.abs(q - self.measured)
+        allowed = jump + 2.0 * np.abs(self.dq) * period
+        joint = int(np.argmax(moved - allowed))
+        if moved[joint] > allowed[joint]:
+            raise StateError(
+                f"no command for this state: q[{joint}] jumped by {moved[joint]:.3g}, more than {allowed[joint]:.3g}. "
+                "If the next state agrees with this one, the loop goes on"
+            )
+        away = np.abs(q - self.q)
+        joint = int(np.argmax(away))
+        if away[joint] > most_lag:
+            raise StateError(
+                f"no command for this state: joint {robot.joints[joint].name!r} is {away[joint]:.3g} away from its "
+                f"command, more than {most_lag:.3g}; the robot does not follow. reset() the loop to begin where it is"
+            )
+        return self._replace(measured=q, lag=float(away[joint]))

@@ -126,7 +126,8 @@ def test_velocity_box_brings_a_joint_to_its_end_and_no_farther():
     for _ in range(10):
         b, speed, h = random.uniform(0.5, 20.0), random.uniform(0.1, 3.0), random.choice([0.001, 0.01])
         one = np.ones(1)
-        box = VelocityBox(-one, one, speed * one, 2.0 * b * one, b * one, h)
+        limits = JointLimits(-one, one, speed * one, 2.0 * b * one, b * one, np.inf * one)
+        box = VelocityBox(limits, 1, h)
         q, u = -0.9 * one, 0.0 * one
         for _ in range(round((3.0 / speed + 3.0 * speed / b + 2.0 / b**0.5) / h)):
             least, most = box(q, u)

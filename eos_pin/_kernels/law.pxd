@@ -1,0 +1,15 @@
+"""The map from commanded to joint accelerations, for other kernels that need it."""
+
+cdef class AccelerationMap:
+    cdef int n, m, room
+    cdef double most, fast, runaway, braking
+    cdef double *Vt
+    cdef double *Qt
+    cdef double *J
+    cdef double *F
+    cdef double *A
+    cdef double *x
+    cdef double *work
+    cdef int *pivots
+    cdef tuple made_from, kept
+    cdef solve(self, double* dq)
