@@ -137,10 +137,10 @@ cdef class KinematicStep(AccelerationMap):
             most[j] = self.largest(j, q[j], u[j])
             p[j] = q[j] + h * u[j]
         # The goal, and the accelerations that lead there.
-        self.chain.difference(data(target), data(point_now), e)
-        self.chain.difference(data(target_before), data(point_before), e_before)
+        self.chain.difference(data(point_now), data(target), e)
+        self.chain.difference(data(point_before), data(target_before), e_before)
         for i in range(m):
-            e[i] = self.a2[i] * e_before[i] - self.a1[i] * e[i]
+            e[i] = self.a1[i] * e[i] - self.a2[i] * e_before[i]
         advance(self.chain, data(target_ahead), e, goal)
         self.chain.evaluate(p, point, self.J)
         self.chain.difference(goal, point, e)

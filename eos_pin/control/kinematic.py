@@ -306,12 +306,13 @@ class KinematicLoop:
         if not known or state.objective is not law.of or state.v_d is None:
             state = state._replace(v_d=law.before)
         a1, a2 = self._decay
-        error = a1 * task._minus(now.z, state.z) - a2 * task._minus(z_d_before, state.z_before)
+        # Errors of directions are in the axes of the target, where they are added to the next one.
+        error = a1 * task._minus(state.z, now.z) - a2 * task._minus(state.z_before, z_d_before)
         p = q + h * u
         z_p, J = task._linearize(p)
 
         def solved(pace: float) -> _Solved:
-            goal = task._plus(self._target(s + h * pace).z, -error)
+            goal = task._plus(self._target(s + h * pace).z, error)
             v_d = self.self_motion.sampled_targets(s, h, h * pace, r)
             return _Solved(*self._acceleration(t, state, v_d, J, task._minus(goal, z_p) / h**2), goal, v_d)
 
