@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
-HOME = Path(__file__).parent.parent
+from marked import HOME, fill, place
+
 DOCUMENTS = HOME / "README.md", HOME / "docs" / "performance.md"
-#: What stands around the ratio in a document.
-BEGIN, END = "<!-- compiled.py -->", "<!-- end -->"
-_MARKED = re.compile(f"({BEGIN})([^<]*)({END})")
+#: Name of the places for it.
+NAME = "compiled.py"
 
 
 def phrase(ratios: Sequence[float]) -> str:
@@ -21,17 +20,16 @@ def phrase(ratios: Sequence[float]) -> str:
 
 def read(document: Path = DOCUMENTS[0]) -> str:
     """The ratio that a document has."""
-    found = _MARKED.search(document.read_text(encoding="utf-8"))
-    assert found, f"{document.name} has no place for the ratio: {BEGIN} and {END}"
+    found = place(NAME).search(document.read_text(encoding="utf-8"))
+    assert found, f"{document.name} has no place for the ratio: <!-- {NAME} -->"
     return found[2]
 
 
 def write(document: Path, ratio: str) -> None:
     """Write the ratio wherever a document has a place for it."""
-    text = document.read_text(encoding="utf-8")
-    document.write_text(_MARKED.sub(rf"\g<1>{ratio}\g<3>", text), encoding="utf-8")
+    fill(document, NAME, ratio)
 
 
 def filled(text: str) -> str:
     """A text with the ratio of README.md in its places."""
-    return _MARKED.sub(rf"\g<1>{read()}\g<3>", text)
+    return place(NAME).sub(rf"\g<1>{read()}\g<3>", text)

@@ -1,8 +1,9 @@
 """Plans under torque control: `python benchmarks/following.py [repeat|joining|disturbed] …`; each has `--help`.
 
 * `repeat`: closed paths through a random posture within limits, by v that is held, posture control, and planned joints,
-  all from the same joints and velocities on the path, and by Pink with a posture task, where it is set up (kinematics
-  alone): how many repeat within limits from the first round, and how many stay within limits at all.
+  in continuous time and by torques that are held for 1 ms each, all from the same joints and velocities on the path,
+  and by Pink with a posture task, where it is set up (kinematics alone): how many repeat within limits from the first
+  round, and how many stay within limits at all. On half of the paths v that is held changes charts.
 * `joining`: from random postures at the first task point of a plan: joined and then following, or refused with a
   reason; each refusal is judged by something else, a walk along the manifold or a roadmap of it.
 * `disturbed`: pushes, pauses and changes of speed: how far from the plan the joints are in the end.
@@ -23,6 +24,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import marked
 import numpy as np
 import pinocchio as pin
 from lxml import etree
@@ -51,6 +53,7 @@ from eos_pin import (
     load_robot,
     plan,
     simulate,
+    simulate_sampled,
 )
 from eos_pin.errors import EosError
 from eos_pin.planning.report import switches
@@ -87,7 +90,10 @@ def curve(shape: str, random: np.random.Generator) -> np.ndarray:
 
 
 def made(number: int, seed: int) -> tuple[Task, Plan | EosError, dict[str, Any]]:
-    """A path of random shape, as large as joints can follow from one way point to the next, and its plan."""
+    """A path of random shape, as large as joints can follow from one way point to the next, and its plan.
+
+    In every second round of robots and tasks v, held from the start of the plan, changes charts on each path.
+    """
     name = list(ARMS)[number % len(ARMS)]
     robot = load_robot(name, chain_to=ARMS[name])
     frame = str(robot.options["chain_to"])
@@ -98,24 +104,36 @@ def made(number: int, seed: int) -> tuple[Task, Plan | EosError, dict[str, Any]]
     lower, upper = ranges(robot)
     size, q = 0.6, random.uniform(lower, upper)
     line = curve(shape, random)
-    manifold = Manifold(task)
+    manifold, changes = Manifold(task), (number // (2 * len(ARMS))) % 2 == 1
     while True:
         z = task.value(q)
         points = np.repeat(z[None], POINTS + 1, axis=0)
         points[:, :3] += size * line
-        if reachable(manifold, points, q, lower, upper):
-            break
+        found: Plan | EosError | None = None
+        if reachable(manifold, points, q, lower, upper) and not (changes and not held_switches(task, points, q)):
+            path = waypoint_path(task, points, closed=True)
+            began = time.perf_counter()
+            try:
+                found = plan(task, path, closed=True, keep_time=False, seed=seed)
+            except EosError as error:
+                found = error
+            seconds = time.perf_counter() - began
+            if isinstance(found, EosError) or not changes or held_switches(task, points, found(found.start).q):
+                break
+            found = None
         size *= 0.8
-        if size < 0.05:
+        if size < 0.05 or found is not None:
             size, q = 0.6, random.uniform(lower, upper)
-    path = waypoint_path(task, points, closed=True)
     row = {"number": number, "robot": name, "task": "pose" if pose else "position", "shape": shape, "size": size}
-    began = time.perf_counter()
+    return task, found, row | {"seconds": seconds, "changes_asked": changes}
+
+
+def held_switches(task: Task, points: np.ndarray, q: np.ndarray) -> int:
+    """How many times v that is held from joints on changes charts on a path, as far as it is followed."""
     try:
-        found: Plan | EosError = plan(task, path, closed=True, keep_time=False, seed=seed)
-    except EosError as error:
-        found = error
-    return task, found, row | {"seconds": time.perf_counter() - began}
+        return len(Atlas(task, threshold=THRESHOLD).follow(q, points).charts) - 1
+    except EosError:
+        return 0
 
 
 def reachable(manifold: Manifold, points: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
@@ -183,19 +201,22 @@ def pink(found: Plan) -> dict[str, Any]:
 def repeat(number: int, seed: int) -> dict[str, Any]:
     """One path by every method."""
     task, found, row = made(number, seed)
-    robot = task.robot
     if isinstance(found, EosError):
-        return row | {"planned": {"inside": False, "repeats": False, "message": str(found)}}
-    start, reference = found(0.0), found.path
-    q = found.joints(np.linspace(found.start, found.end, 200))
-    row["plan_switches"] = switches(task, q, THRESHOLD)
-    laws = {"hold": None, "posture": Posture(start.q), "planned": FollowPlan(found)}
+        failed = {"inside": False, "repeats": False, "message": str(found)}
+        return row | {"planned": failed, "sampled": failed}
+    start = found(0.0)
+    row["plan_switches"] = switches(task, found.joints(np.linspace(found.start, found.end, 200)), THRESHOLD)
+    laws = {"hold": None, "posture": Posture(start.q), "planned": FollowPlan(found), "sampled": FollowPlan(found)}
     for name, law in laws.items():
-        controller = EosController(task, reference, law, atlas=Atlas(task, threshold=THRESHOLD))
-        run = simulate(robot, controller, start.q, dq=start.dq, duration=ROUNDS * found.period, rtol=1e-8, atol=1e-10)
-        error = float(np.abs(run.error).max())
-        row[name] = judged(run.q, run.joint_drift_per_cycle, error, robot) | {"message": run.message}
-        row[name]["switches"] = len(run.switches)
+        controller = EosController(task, found.path, law, atlas=Atlas(task, threshold=THRESHOLD))
+        options: dict[str, Any] = {"rtol": 1e-7, "atol": 1e-9}
+        run_of: Callable[..., Any] = simulate
+        if name == "sampled":
+            options, run_of = {"centred": True, "torque_limits": False}, simulate_sampled
+        run = run_of(found.robot, controller, start.q, dq=start.dq, duration=ROUNDS * found.period, **options)
+        row[name] = judged(run.q, run.joint_drift_per_cycle, float(np.abs(run.error).max()), found.robot)
+        row[name] |= {"message": run.message, "switches": len(run.switches)}
+    assert row["hold"]["switches"] > 0 or not row["changes_asked"], "v that is held was to change charts on this path"
     if not isinstance(installed(PEERS["pink"]), str):
         row["pink"] = pink(found)
     return row
@@ -335,24 +356,37 @@ def disturbed(number: int, seed: int, plans: tuple[Plan, Plan]) -> dict[str, Any
     return {"number": number, "outcome": outcome, "message": run.message, **met}
 
 
-def told(command: str, rows: list[dict[str, Any]]) -> Table:
-    """Table of what was found."""
-    table = Table(title=f"{command}: {len(rows)} cases")
+#: Methods of `repeat` in words.
+METHODS = {
+    "hold": "v held", "posture": "posture control", "pink": "Pink, posture task (kinematics)",
+    "planned": "planned, continuous time", "sampled": "planned, torques held for 1 ms",
+}  # fmt: skip
+
+
+def told(command: str, rows: list[dict[str, Any]]) -> tuple[str, list[str], list[list[str]]]:
+    """Title, columns and rows of what was found."""
     if command == "repeat":
-        for title in ("method", "repeats within limits", "stays within limits", "paths it was run on"):
-            table.add_column(title)
-        for name in ("hold", "posture", "pink", "planned"):
-            met = [row[name] for row in rows if name in row]
-            counts = (sum(m["repeats"] for m in met), sum(m["inside"] for m in met), len(met))
-            table.add_row(name, *map(str, counts))
-        return table
-    for title in ("outcome", "judged", "cases", "furthest from the plan at the end"):
-        table.add_column(title)
+        changing = [row for row in rows if row.get("hold", {}).get("switches", 0)]
+        cells = []
+        for name, words in METHODS.items():
+            met = [row for row in rows if name in row]
+            of = [row[name] for row in met]
+            those = [row[name]["repeats"] for row in met if row in changing]
+            worst = max((max(m["drift"]) for m in of if m["repeats"]), default=0.0)
+            cells.append([
+                words, f"{sum(m['repeats'] for m in of)} of {len(of)}", f"{sum(those)} of {len(those)}",
+                f"{sum(m['inside'] for m in of)} of {len(of)}", f"{worst:.1e}",
+            ])  # fmt: skip
+        columns = ["method", "repeats within limits", "of these where v held changes charts", "stays within limits"]
+        title = f"{len(rows)} closed paths; on {len(changing)} of them v that is held changes charts"
+        return title, [*columns, "largest drift of those that repeat, rad a round"], cells
+    cells = []
     for outcome, judged_as in sorted({(row["outcome"], row.get("judged", "")) for row in rows}):
         met = [row for row in rows if (row["outcome"], row.get("judged", "")) == (outcome, judged_as)]
         ends = [row["end"] for row in met if "end" in row]
-        table.add_row(outcome, judged_as or "-", str(len(met)), f"{max(ends):.1e}" if ends else "-")
-    return table
+        cells.append([outcome, judged_as or "-", str(len(met)), f"{max(ends):.1e}" if ends else "-"])
+    columns = ["outcome", "judged by something else", "cases", "furthest from the plan at the end, rad"]
+    return f"{command}: {len(rows)} cases", columns, cells
 
 
 def main() -> int:
@@ -361,6 +395,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--write", action="store_true", help="write the table into docs/planning.md")
     options = parser.parse_args()
     rows: list[dict[str, Any]] = []
     if options.json is not None and options.json.exists():
@@ -379,8 +414,13 @@ def main() -> int:
         if options.json is not None:
             options.json.write_text(json.dumps(rows, indent=1) + "\n")
         print(json.dumps(rows[-1])[:400], flush=True)
-    console = Console()
-    console.print(told(options.command, rows))
+    console, (title, columns, cells) = Console(), told(options.command, rows)
+    table = Table(*columns, title=title)
+    for cell in cells:
+        table.add_row(*cell)
+    console.print(table)
+    if options.write:
+        marked.fill(marked.PLANNING, options.command, f"\n\n{title}:\n{marked.table(columns, cells)}")
     for row in rows:
         bad = row.get("planned", {})
         if bad and not bad["repeats"]:

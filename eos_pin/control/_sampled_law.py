@@ -1,4 +1,4 @@
-"""Laws of errors in exact samples, and targets of the self-motion a period ahead, for `KinematicLoop`."""
+"""Laws of errors in exact samples, targets a period ahead, and the state in the middle of a period."""
 
 from __future__ import annotations
 
@@ -75,3 +75,37 @@ def decay(kp: Any, kd: Any, period: float) -> tuple[Any, Any]:
     half = 0.5 * period * np.asarray(kd, dtype=float)
     root = np.sqrt(half.astype(complex) ** 2 - period**2 * np.asarray(kp, dtype=float))
     return (np.exp(root - half) + np.exp(-root - half)).real, np.exp(-2.0 * half)
+
+
+class MiddleOfPeriod:
+    """State in the middle of the period that begins, from the torques of the last ones.
+
+    A torque that is held acts on average half a period after the state it was computed for. Computed for the state in
+    the middle, as reached under the torque that the last two lead to, it is off by the square of the period only.
+
+    Args:
+        robot: The robot, as the controller knows it.
+        period: Control period [s].
+    """
+
+    def __init__(self, robot: Robot, period: float) -> None:
+        self.robot, self.half = robot, 0.5 * period
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin a run."""
+        self._last: JointVector | None = None
+        self._before: JointVector | None = None
+
+    def __call__(self, t: float, q: JointVector, dq: JointVector) -> tuple[float, JointVector, JointVector]:
+        """Time and state in the middle of the period; those that are given where no torque is known yet."""
+        if self._last is None or self._before is None:
+            return t, q, dq
+        # The mean of the first half is that a quarter into the period, 3/4 after the middle of the last one.
+        tau = self._last + 0.75 * (self._last - self._before)
+        h, ddq = self.half, self.robot._forward_dynamics(q, dq, tau)
+        return t + h, q + h * (dq + 0.5 * h * ddq), dq + h * ddq
+
+    def held(self, tau: JointVector) -> None:
+        """Take note of the torque of this period."""
+        self._before, self._last = (tau if self._last is None else self._last), tau

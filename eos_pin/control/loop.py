@@ -22,6 +22,7 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin._kernels.dispatch import use_compiled
+from eos_pin.control._sampled_law import MiddleOfPeriod
 from eos_pin.control.base import Controller, agreed_period
 from eos_pin.errors import InputError, Renamed, StateError
 
@@ -55,6 +56,8 @@ class ControlLoop:
         soft_start: Time in which a run goes over from `first_torque` to the controller's torque, and to that of another
             controller from the last torque [s]. Meanwhile gravity is compensated, and limits that the controller keeps,
             other than of torque, are not kept.
+        centred: Whether torques are those for the middle of the period in which they are held, so that they do not lag
+            by half of it; for controllers that are not made for a period themselves.
         first_torque: Torque at the start of a run where one of the last two is given, (n,) [N m or N], such as the
             measured one; by default that which holds the robot against gravity, as the controller knows it.
 
@@ -82,7 +85,10 @@ class ControlLoop:
         torque_rate: float | VectorLike | None = None,
         soft_start: float = 0.0,
         first_torque: VectorLike | None = None,
+        centred: bool = False,
     ) -> None:
+        self._middle: MiddleOfPeriod | None = None
+        self._centred = centred
         self.state: Any = None
         self._watch: StateMonitor | None
         self._before: StateMonitor | None
@@ -126,8 +132,12 @@ class ControlLoop:
 
     def _fit(self, controller: Controller) -> None:
         """Take a controller and its limits; refuse one that does not fit."""
-        agreed_period(controller, self._period)
-        robot = controller.robot
+        period, robot = agreed_period(controller, self._period), controller.robot
+        if self._centred and (period is None or robot is None or controller.control_period is not None):
+            raise InputError(
+                "centred torques need a control_period of the loop, and a controller that knows its robot and is not "
+                "made for a period itself"
+            )
         limits, rate, first = self._given
         bounds: JointVector = np.array(np.inf)
         if limits is True:
@@ -150,6 +160,7 @@ class ControlLoop:
         if self._ramp is not None:
             self._ramp.rate, self._ramp.first, self._ramp.limits = rate, first, bounds
             self._ramp.gravity = controller.holding_torque
+        self._middle = MiddleOfPeriod(robot, period) if self._centred and robot and period else None
         # Without any limit a torque passes as long as its square is a number.
         per_limit = np.maximum(1.0 / bounds, 1e-150)
         self._per_limit = np.array(np.broadcast_to(per_limit, self._shape or per_limit.shape), ndmin=1)
@@ -164,6 +175,8 @@ class ControlLoop:
         self._behind: JointVector | None = None
         if self._ramp is not None:
             self._ramp.forget()
+        if self._middle is not None:
+            self._middle.forget()
 
     def step(self, t: float, q: VectorLike, dq: VectorLike) -> JointVector:
         """Joint torques at time t [s] in the state (q, dq) [N m or N].
@@ -178,12 +191,15 @@ class ControlLoop:
             given: Any = t
             t = given if isinstance(given, float) else number(given, "t")
             seen = self._look(t, q, dq)
-        tau, self.state = self._controller._step(t, seen, dq, self.state)  # type: ignore[arg-type]
+        when, q_now, dq_now = (t, seen, dq) if self._middle is None else self._middle(t, seen, dq)  # type: ignore[arg-type]
+        tau, self.state = self._controller._step(when, q_now, dq_now, self.state)  # type: ignore[arg-type]
         self.saturated = False
-        if self._ramp is None:
-            return tau if within_limits_fast(tau, self._per_limit) else self._cut(t, tau)
-        tau = self._cut(t, tau)
-        tau, self.slowed = self._ramp(t, seen, tau)
+        if self._ramp is not None:
+            tau, self.slowed = self._ramp(t, seen, self._cut(t, tau))
+        elif not within_limits_fast(tau, self._per_limit):
+            tau = self._cut(t, tau)
+        if self._middle is not None:
+            self._middle.held(tau)
         return tau
 
     def task_deficit(self, t: float, q: VectorLike, dq: VectorLike) -> TaskVector | None:

@@ -47,6 +47,7 @@ def simulate_sampled(
     torque_limits: bool | VectorLike = True,
     torque_rate: float | VectorLike | None = None,
     soft_start: float = 0.0,
+    centred: bool = False,
     record_rate: float = 100.0,
     seed: int = 0,
     task_force: TaskForce | None = None,
@@ -70,6 +71,7 @@ def simulate_sampled(
             none, or limits of your own, (n,) [N m or N].
         torque_rate: Most that a torque changes in a second, one number or (n,), see `ControlLoop` [N m/s or N/s].
         soft_start: Time in which the torque goes over from that of gravity to the controller's [s].
+        centred: Whether torques are those for the middle of the period, see `ControlLoop`.
         record_rate: Samples kept per second, besides the exact multiples of the reference's period.
         seed: Seed of the noise and the dropouts.
         task_force: Force of the environment.
@@ -98,7 +100,15 @@ def simulate_sampled(
     if not isinstance(torque_limits, bool):
         torque_limits = broadcast(torque_limits, plant.n, "the torque limits")
     limits = plant.effort if torque_limits is True else torque_limits
-    loop = ControlLoop(controller, torque_limits=limits, jump=math.inf, torque_rate=torque_rate, soft_start=soft_start)
+    loop = ControlLoop(
+        controller,
+        control_period=period if centred else None,
+        torque_limits=limits,
+        jump=math.inf,
+        torque_rate=torque_rate,
+        soft_start=soft_start,
+        centred=centred,
+    )
     arguments = {
         "kind": "sampled",
         "control_period": period,
@@ -112,6 +122,7 @@ def simulate_sampled(
         "torque_limits": None if limits is False else np.broadcast_to(limits, plant.n).tolist(),
         "torque_rate": None if torque_rate is None else np.asarray(torque_rate, dtype=float).tolist(),
         "soft_start": float(soft_start),
+        "centred": bool(centred),
         "seed": seed,
     }
     record = Recorder(system, sample_times(duration, record_rate, system.reference_period), arguments, observer)

@@ -10,6 +10,7 @@ import pytest
 
 from eos_pin import (
     Atlas,
+    ControlLoop,
     EosController,
     FollowJoints,
     FollowPlan,
@@ -27,7 +28,7 @@ from eos_pin import (
     simulate_sampled,
 )
 from eos_pin.control.joining import distances
-from eos_pin.errors import PlanError
+from eos_pin.errors import InputError, PlanError
 from eos_pin.tasks.batch import Manifold
 from eos_pin.trajectories.pace import Clock
 
@@ -174,6 +175,26 @@ def test_joints_that_were_joined_repeat(found, task, panda):
     run = simulate(panda, controller, Q[:, 0], duration=way.seconds + 0.5 + 2.0 * PERIOD, rtol=1e-8)
     assert run.info["joint_distance"]["max"] < 1e-6
     assert np.abs(run.q[-1] - found(way.clock(float(run.t[-1]))[0]).q).max() < 1e-6
+
+
+def test_torques_for_the_middle_of_their_period_keep_joints_on_the_plan(found, task, panda):
+    """Held for 2 ms, they leave the joints beside the plan by the square of the period, and by the period otherwise."""
+    off = {}
+    for period, centred in ((2e-3, False), (2e-3, True), (1e-3, True)):
+        run = simulate_sampled(
+            panda, EosController(task, found.path, FollowPlan(found)), found(0.0).q, dq=found(0.0).dq, duration=1.0,
+            control_period=period, centred=centred,
+        )  # fmt: skip
+        off[period, centred] = distances(found, run.t[run.t > 0.3], run.q[run.t > 0.3]).max()
+    assert off[2e-3, True] < 0.02 * off[2e-3, False]
+    assert off[1e-3, True] < 1e-6
+    assert 3.5 < off[2e-3, True] / off[1e-3, True] < 4.5
+
+
+def test_torques_for_the_middle_of_a_period_need_its_length(found, task):
+    controller = EosController(task, found.path, FollowPlan(found))
+    with pytest.raises(InputError, match="centred torques need a control_period"):
+        ControlLoop(controller, centred=True)
 
 
 def test_plan_is_refused_for_another_robot_or_task(found, panda):
