@@ -61,6 +61,7 @@ from .planning import Plan as Plan
 from .planning import SelfMotionManifold as SelfMotionManifold
 from .planning import plan as plan
 from .planning import self_motion_manifold as self_motion_manifold
+from .robot import CoupledRobot as CoupledRobot
 from .robot import Joint as Joint
 from .robot import JointMap as JointMap
 from .robot import Payload as Payload

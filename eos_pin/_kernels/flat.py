@@ -59,6 +59,8 @@ class FlatModel(NamedTuple):
 def flat_model(model: pin.Model) -> FlatModel | None:
     """The joints of a model whose joints each have one degree of freedom; None if one of them is of another kind."""
     n = model.nv
+    if n < model.njoints - 1:
+        return None
     parents, prismatic = np.array(list(model.parents)[1:], dtype=np.int32) - 1, np.zeros(n, dtype=np.int32)
     fixed, turns = np.empty((n, 12)), np.empty((n, 3, 3))
     data = model.createData()

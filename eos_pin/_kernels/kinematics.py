@@ -88,8 +88,7 @@ class Kinematics:
     @cached_property
     def revolute(self) -> Bool[Array, " n"]:
         """Which joints turn."""
-        flat = flat_model(self.task.robot.model)
-        return np.ones(self.n, dtype=bool) if flat is None else flat.prismatic == 0
+        return np.array([joint.kind != "prismatic" for joint in self.task.robot.joints])
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -111,7 +111,7 @@ class TaskOptions:
             raise InputError(
                 f"q0 is all {robot.n} joints in order, or some as joint=value; got {' '.join(map(str, self.q0))}"
             )
-        return task, in_order(named, robot.model.names[1:], rest_posture(task), "q0")
+        return task, in_order(named, robot.joint_names, rest_posture(task), "q0")
 
 
 @checked

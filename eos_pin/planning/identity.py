@@ -9,9 +9,9 @@ from eos_pin.robot.model import Robot
 
 def identity(robot: Robot) -> dict[str, str]:
     """Hashes of a plan's dependencies: joints and their placement, limits, frames (tools), masses (payloads)."""
-    model = robot.model
+    model, own = robot.model, robot.coordinates
     frames = [(f.name, f.parentJoint, f.placement.homogeneous.round(12).tolist()) for f in model.frames]
-    kinematics = [
+    kinematics: list[object] = [
         (
             model.names[i],
             model.joints[i].shortname(),
@@ -20,6 +20,8 @@ def identity(robot: Robot) -> dict[str, str]:
         )
         for i in range(1, model.njoints)
     ]
+    if own.coupled:
+        kinematics += [own.column.tolist(), own.factor.tolist(), own.offset.tolist()]
     masses = [model.inertias[i].toDynamicParameters().round(9).tolist() for i in range(1, model.njoints)]
     parts = {
         "joints": kinematics,

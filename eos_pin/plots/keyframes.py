@@ -115,8 +115,8 @@ def _links(robot: Robot) -> list[tuple[str, str, bool]]:
     """Lines to draw a robot: frame where it starts, frame where it ends, and whether it is the travel of a slider."""
     model = robot.model
     joints = [
-        (model.names[model.parents[i]], joint.name, joint.kind == "prismatic")
-        for i, joint in enumerate(robot.joints, 1)
+        (model.names[model.parents[i]], model.names[i], bool(robot.coordinates.slides[i]))
+        for i in range(1, model.njoints)
     ]
     ends = [(model.names[model.frames[robot.frame_id(end)].parentJoint], end, False) for end in leaf_frames(robot)]
     return joints + ends

@@ -1,4 +1,5 @@
 from ._parts import Joint as Joint
+from .coupled import CoupledRobot as CoupledRobot
 from .joint_map import JointMap as JointMap
 from .library import available_robots as available_robots
 from .loading import Payload as Payload

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eos_pin._arrays import Array, Checked, JointVector, checked, frozen_copy, unchecked
+from eos_pin.robot._coordinates import Coordinates, coordinates_of
 
 #: Part of half a turn from which on a posture draws a continuous joint less, down to nothing where it is opposite.
 OPPOSITE = 0.75
@@ -27,10 +28,19 @@ class Angles(Checked):
     model: Any
 
     @cached_property
+    def coordinates(self) -> Coordinates:
+        """Coordinates q, and the joints that each of them moves."""
+        return coordinates_of(self.model)
+
+    @cached_property
     def continuous(self) -> Bool[Array, " n"]:
         """Which joints turn without end, so that angles a whole turn apart are the same place."""
+        own = self.coordinates
         # A screw without limits moves on with each turn.
-        turning = [joint.shortname().startswith("JointModelR") for joint in list(self.model.joints)[1:]]
+        turning = [self.model.joints[int(i)].shortname().startswith("JointModelR") for i in own.joints]
+        for column, factor in zip(own.column[1:], own.factor[1:], strict=True):
+            # What follows by a part of a turn is elsewhere after a whole one.
+            turning[column] &= float(factor).is_integer()
         ends = np.abs((self.model.lowerPositionLimit, self.model.upperPositionLimit)).min(axis=0)
         return frozen_copy(np.array(turning) & (ends >= UNLIMITED), bool)
 

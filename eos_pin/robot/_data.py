@@ -17,9 +17,9 @@ def workspace(model: pin.Model) -> pin.Data:
     in `Robot` and in the tasks use. One that uses more finds an empty array and ends the process: each is tested.
 
     Args:
-        model: Model whose joints all have one degree of freedom.
+        model: Model whose joints all have one degree of freedom, or follow others.
     """
-    if model.nv <= FULL:
+    if model.nv <= FULL or model.nv < model.njoints - 1:
         return pin.Data(model)
     data, n = pin.Data(), model.nv
     data.joints = [joint.createData() for joint in model.joints]

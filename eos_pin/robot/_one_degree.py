@@ -35,7 +35,7 @@ def one_degree_model(model: pin.Model) -> pin.Model:
     Raises:
         RobotError: A joint is of another kind, such as a floating base.
     """
-    if all((joint.nq, joint.nv) == (1, 1) for joint in list(model.joints)[1:]):
+    if all((joint.nq, joint.nv) in ((1, 1), (0, 0)) for joint in list(model.joints)[1:]):
         return model.copy()
     new = pin.Model()
     new.name, new.gravity = model.name, model.gravity

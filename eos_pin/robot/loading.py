@@ -24,11 +24,14 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin.errors import InputError, RobotError, UnknownNameError
+from eos_pin.robot._coordinates import coordinates_of
 from eos_pin.robot._parts import default_frame_of, find_frame, leaves_of
+from eos_pin.robot.coupled import CoupledRobot
 from eos_pin.robot.geometry import Shapes, quiet, resolve_shapes
 from eos_pin.robot.library import available_robots, find_robot
 from eos_pin.robot.model import Robot
 from eos_pin.robot.notes import Notes, is_physical, oddities
+from eos_pin.robot.reading.mimic import followers_in
 from eos_pin.robot.reading.mjcf import NO_SHAPES, is_mjcf, locked_model, read_mjcf
 from eos_pin.robot.reading.planar import without_planar
 from eos_pin.robot.reading.urdf import Urdf, read_urdf, read_urdf_text
@@ -157,7 +160,7 @@ def load_robot(
         "tool": tool and tool.as_dict(),
         "payload": payload and payload.as_dict(),
     }
-    robot = Robot(
+    robot = (CoupledRobot if coordinates_of(read.model).coupled else Robot)(
         read.model,
         name=read.name,
         source=read.source,
@@ -207,7 +210,9 @@ def _read_urdf(source: Source, lock: Lock, chain_to: str, end: str, folders: lis
         chain_to = end = default_frame_of(_build(urdf, urdf.rewritten({})), mimics)
     locked = _locked(urdf, lock, end)
     notes = urdf.notes + _check_joints(urdf, locked, is_chain=bool(chain_to))
-    root = urdf.rewritten(locked)
+    # Off a chain, joints that should follow others move on their own.
+    followers = followers_in(urdf.joints, [name for name in urdf.moving if name not in locked]) if chain_to else {}
+    root = urdf.rewritten(locked, followers)
     model = _build(urdf, root)
     notes += oddities(model, chain_to) + resolve_shapes(root, urdf.path, folders)
     shapes = Shapes(etree.tostring(root, encoding="unicode"))
@@ -278,8 +283,15 @@ def _locked(urdf: Urdf, lock: Lock, frame: str) -> dict[str, float]:
     """Position of every joint held fixed: by `lock`, by its limits, or because it is not on the way to `frame`."""
     given = dict(lock) if isinstance(lock, Mapping) else dict.fromkeys(_names(lock))
     chain = urdf.chain(frame) if frame else urdf.moving
-    kept = [name for name in chain if not urdf.joints[name].stuck]
-    return {name: _position(urdf, name, given.get(name)) for name in (*given, *set(urdf.moving).difference(kept))}
+    kept = {name for name in chain if not urdf.joints[name].stuck}
+    followers = followers_in(urdf.joints, kept.difference(given)) if frame else {}
+    kept |= {follower.leader for follower in followers.values() if urdf.joints[follower.leader].kind != "fixed"}
+    locked = {name: _position(urdf, name, given.get(name)) for name in (*given, *set(urdf.moving).difference(kept))}
+    for name, (leader, factor, offset) in followers.items():
+        if leader in locked or urdf.joints[leader].kind == "fixed" or factor == 0.0:
+            # It follows one that does not move.
+            locked[name] = _position(urdf, name, factor * locked.get(leader, 0.0) + offset)
+    return locked
 
 
 def _position(urdf: Urdf, name: str, value: float | None) -> float:
@@ -313,11 +325,8 @@ def _check_joints(urdf: Urdf, locked: Mapping[str, float], *, is_chain: bool) ->
                 "Lock it, or load the chain to one frame"
             )
         if joint.mimics and is_chain:
-            raise RobotError(
-                f"{where} mimics {joint.mimics!r} and has no torque of its own, but lies inside the chain. Lock it, "
-                "or load the chain to a frame before it"
-            )
-        if joint.mimics:
+            notes.add(f"follows {joint.mimics!r} and has no torque of its own: @", joint.name)
+        elif joint.mimics:
             notes.add(f"should mimic {joint.mimics!r}, and moves on its own here: @", joint.name)
         if joint.kind != "continuous" and joint.unlimited and not any(joint.name in note for note in urdf.notes):
             notes.add("limits of 0 to 0 are taken for none: @", joint.name)
@@ -330,7 +339,7 @@ def _build(urdf: Urdf, root: etree._Element) -> pin.Model:
     etree.strip_elements(bare, "visual", "collision", "material", with_tail=False)
     with quiet() as said:
         try:
-            return pin.buildModelFromXML(etree.tostring(bare, encoding="unicode"))
+            return pin.buildModelFromXML(etree.tostring(bare, encoding="unicode"), mimic=True)
         except (ValueError, RuntimeError) as error:
             reason = error
     raise RobotError(f"{urdf.path}: Pinocchio cannot build a model of it: {reason} {said[0]}") from reason

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -57,7 +57,7 @@ class Robot(Angles):
         options: The arguments of `load_robot` beside `source`, so that a saved run can find its robot again.
         urdf_sha256: Hash of the URDF text; empty if built in memory.
         notes: What loading changed, could not find or found odd, in sentences for people.
-        mimics: The joint that each joint should follow, by the name of the follower; here all move on their own.
+        mimics: The joint that each joint should follow, by the name of the follower; only in a `CoupledRobot` it does.
         shapes: What has its visual and its collision geometry, read when first asked for; None without shapes.
 
     Raises:
@@ -73,6 +73,8 @@ class Robot(Angles):
     notes: tuple[str, ...] = ()
     mimics: Mapping[str, str] = field(default_factory=dict)
     shapes: HasShapes | None = None
+    #: Whether joints may follow others; see `CoupledRobot`.
+    _may_follow: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", self.model.copy())
@@ -85,11 +87,13 @@ class Robot(Angles):
                 "chain"
             )
         for i, joint in enumerate(self.model.joints):
-            if i and (joint.nq, joint.nv) != (1, 1):
+            if i and (joint.nq, joint.nv) != (1, 1) and not (self._may_follow and joint.nv == 0):
+                advice = (
+                    "lock it, or load the chain to one frame" if joint.nv else "make a CoupledRobot, where it follows"
+                )
                 raise RobotError(
                     f"joint {self.model.names[i]!r} ({joint.shortname()}) has nq = {joint.nq}, nv = {joint.nv}; "
-                    "eos_pin controls robots whose joints are all revolute, continuous or prismatic. Lock the joint, "
-                    "or load the chain to one frame"
+                    f"eos_pin controls robots whose joints are all revolute, continuous or prismatic: {advice}"
                 )
         self._check_order()
 
@@ -135,7 +139,7 @@ class Robot(Angles):
         """The joints, in the order of q."""
         return tuple(
             Joint(
-                name=self.model.names[i + 1],
+                name=self.joint_names[i],
                 kind=self._kind(i),
                 lower=float(self.lower[i]),
                 upper=float(self.upper[i]),
@@ -145,8 +149,13 @@ class Robot(Angles):
             for i in range(self.n)
         )
 
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, in the order of q."""
+        return tuple(str(self.model.names[int(i)]) for i in self.coordinates.joints)
+
     def _kind(self, i: int) -> str:
-        if self.model.joints[i + 1].shortname().startswith("JointModelP"):
+        if self.coordinates.slides[self.coordinates.joints[i]]:
             return "prismatic"
         return "revolute" if np.isfinite(self.lower[i]) or np.isfinite(self.upper[i]) else "continuous"
 
@@ -185,7 +194,7 @@ class Robot(Angles):
         """Joints in the order of q, from all of them or some by name (`in_order`); others are as near 0 as they can."""
         if not isinstance(values, Mapping):
             return vector(values, self.n, name)
-        return in_order(values, self.model.names[1:], np.clip(np.zeros(self.n), self.lower, self.upper), name)
+        return in_order(values, self.joint_names, np.clip(np.zeros(self.n), self.lower, self.upper), name)
 
     @checked
     def frame_id(self, name: str) -> int:
@@ -244,7 +253,7 @@ class Robot(Angles):
         where = f"at q = {np.array2string(q, precision=3, threshold=20, max_line_width=1000)}"
         if not np.isfinite(M).all():
             return f"robot {self.name!r} has a mass matrix that is not finite {where}: check the <inertial> elements"
-        weightless = [i + 1 for i in range(self.n) if not M[i, i] > 0.0]
+        weightless = [int(self.coordinates.joints[i]) for i in range(self.n) if not M[i, i] > 0.0]
         if weightless:
             beyond = {joint for i in weightless for joint in self.model.subtrees[i]}
             links = [

@@ -231,5 +231,5 @@ def _check_speed(system: System, t: float, x: Vector) -> None:
 
 def _state(plant: Robot, q: JointsLike, dq: JointsLike | None) -> tuple[JointVector, JointVector]:
     rest = np.zeros(plant.n)
-    dq = in_order(rest if dq is None else dq, plant.model.names[1:], rest, "dq at the start")
+    dq = in_order(rest if dq is None else dq, plant.joint_names, rest, "dq at the start")
     return plant.posture(q, "q at the start"), dq

@@ -53,6 +53,8 @@ class MujocoPlant(Robot):
     @checked
     def from_robot(cls, robot: Robot, *, integrator: Integrator = "RK4") -> MujocoPlant:
         """The robot as MuJoCo moves it."""
+        if robot.coordinates.coupled:
+            raise InputError("a MujocoPlant has no joints that follow others; lock them, or use Pinocchio as the plant")
         return cls(**{item.name: getattr(robot, item.name) for item in fields(Robot)}, integrator=integrator)
 
     def __post_init__(self) -> None:

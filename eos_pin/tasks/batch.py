@@ -14,6 +14,7 @@ import pinocchio as pin
 from jaxtyping import Bool, Float
 
 from eos_pin._arrays import Array
+from eos_pin.robot._coordinates import screw
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
 from eos_pin.tasks.frame import FrameTask
@@ -31,19 +32,17 @@ class Placements:
     """Forward kinematics of all joints, each about or along the z axis of a frame of its own.
 
     Args:
-        model: Pinocchio model of joints with one degree of freedom.
+        robot: The robot.
     """
 
-    def __init__(self, model: pin.Model) -> None:
+    def __init__(self, robot: Robot) -> None:
+        model, own = robot.model, robot.coordinates
         self.n = model.nv
-        data = model.createData()
-        zero = np.zeros(self.n)
+        self._column, self._factor, self._offset = (values[1:] for values in own[1:4])
         turned = [np.eye(3)]
         self._steps: list[tuple[int, Array, Array, bool]] = []
         for i in range(1, model.njoints):
-            # Of a robot with one joint Pinocchio returns a vector.
-            S = np.reshape(pin.computeJointJacobian(model, data, zero, i), (6, self.n))[:, i - 1]
-            prismatic = bool(np.abs(S[3:]).max() < 0.5)
+            S, prismatic = screw(model, i) / own.factor[i], bool(own.slides[i])
             A = _to_axis(S[:3] if prismatic else S[3:])
             turned.append(A)
             parent, place = int(model.parents[i]), model.jointPlacements[i]
@@ -57,6 +56,8 @@ class Placements:
         K = Q.shape[1]
         world = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, K)), np.zeros((3, K))
         placed: list[tuple[Array, Array]] = [world]
+        if len(self._column) > self.n:
+            Q = self._factor[:, None] * Q[self._column] + self._offset[:, None]
         sines, cosines = np.sin(Q), np.cos(Q)
         for i, (parent, Ct, offset, prismatic) in enumerate(self._steps):
             R, p = placed[parent]
@@ -83,15 +84,15 @@ class Placements:
         J = np.zeros((6, self.n, point.shape[1]))
         for i in self._moved[joint]:
             R, p = placed[i + 1]
-            axis = R[:, 2]
+            k, axis = self._column[i], self._factor[i] * R[:, 2]
             if self._steps[i][3]:
-                J[:3, i] = axis
+                J[:3, k] += axis
             else:
                 d = point - p
-                J[0, i] = axis[1] * d[2] - axis[2] * d[1]
-                J[1, i] = axis[2] * d[0] - axis[0] * d[2]
-                J[2, i] = axis[0] * d[1] - axis[1] * d[0]
-                J[3:, i] = axis
+                J[0, k] += axis[1] * d[2] - axis[2] * d[1]
+                J[1, k] += axis[2] * d[0] - axis[0] * d[2]
+                J[2, k] += axis[0] * d[1] - axis[1] * d[0]
+                J[3:, k] += axis
         return J
 
 
@@ -111,7 +112,7 @@ class Manifold:
             self._parts = [part for part in parts if isinstance(part, FrameTask)]
         kernel = task.kinematics
         self._kernel = kernel if kernel.compiled else None
-        self.placements = Placements(task.robot.model)
+        self.placements = Placements(task.robot)
         model = task.robot.model
         frames = [model.frames[part._id] for part in self._parts or ()]
         self._frames = [(f.parentJoint, *self.placements.local(f.parentJoint, f.placement)) for f in frames]

@@ -116,5 +116,10 @@ def _chain(robot: Robot, joint: int) -> tuple[Vector, float]:
         return np.zeros(3), 0.0
     center = model.jointPlacements[way[0]].translation.copy()
     length = sum(float(np.linalg.norm(model.jointPlacements[i].translation)) for i in way[1:])
-    travel = [max(-robot.lower[i - 1], robot.upper[i - 1]) for i in way if robot.joints[i - 1].kind == "prismatic"]
+    own = robot.coordinates
+    travel = [
+        max(abs(own.factor[i] * end[own.column[i]] + own.offset[i]) for end in (robot.lower, robot.upper))
+        for i in way
+        if own.slides[i]
+    ]
     return center, length + float(sum(travel))

@@ -28,7 +28,7 @@ class JointTask(Task, kind="joints"):
     _needs_frames = False
 
     def __init__(self, robot: Robot, combinations: Sequence[Mapping[str, float]]) -> None:
-        names = list(robot.model.names[1:])
+        names = list(robot.joint_names)
         self.combinations = [
             {name: number(factor, f"the factor of joint {name!r}") for name, factor in row.items()}
             for row in combinations

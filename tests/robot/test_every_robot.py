@@ -32,7 +32,7 @@ PATHS = {robot.name: robot.path for robot in available_robots()}
         (Row("romeo", "l_sole", 6, "pose"), "pose x,y,z,rx,ry,rz"),
         (Row("baxter", "l_gripper_l_finger_tip", 8, "pose"), "pose x,y,z,rx,ry,rz"),
         (Row("ppr", "tip", 3, "position"), "position x,y"),
-        (Row("panda", "panda_rightfinger", 8, "position"), "mimics"),
+        (Row("panda", "panda_rightfinger", 8, "position"), "position"),
         (Row("romeo_laas_small", "l_gripper", 9, "position"), "move no mass"),
         (Row("icub", "l_upper_arm_dh_frame", 6, "pose"), "singularities"),
     ],

@@ -140,7 +140,7 @@ class Clearances:
 
     def __init__(self, bodies: Bodies, scene: Scene = Scene()) -> None:
         self.bodies, self.scene, robot = bodies, scene, bodies.robot
-        self._placements = Placements(robot.model)
+        self._placements = Placements(robot)
         self._joints, ends, radii = [], [], []
         for link, capsule in bodies.capsules:
             frame = robot.model.frames[robot.frame_id(link)]

@@ -214,14 +214,6 @@ class Clearance:
             request.gjk_tolerance = ACCURACY
         return workspace(self.robot.model), data
 
-    @cached_property
-    def _support(self) -> Float[Array, "joints n"]:
-        """One where a column's joint moves a row's joint."""
-        support = np.zeros((self.robot.model.njoints, self.robot.n))
-        for i, joints in enumerate(self.robot.model.supports):
-            support[i, [joint - 1 for joint in joints if joint]] = 1.0
-        return support
-
     def _distances(self, t: float, q: JointVector) -> Float[Array, " pairs"]:
         geometry, numbers = self._geometry
         for i, obstacle in zip(numbers, self.obstacles, strict=True):
@@ -234,7 +226,7 @@ class Clearance:
     def _closest_pairs(self, q: JointVector, pairs: list[int]) -> list[ClosestPair]:
         """Ends and slopes of the pairs last computed."""
         data, geometry_data = self._workspace
-        J = pin.computeJointJacobians(self.robot.model, data, q)
+        pin.computeJointJacobians(self.robot.model, data, q)
         closest_pairs = []
         for pair in pairs:
             link, obstacle, joint = self._pairs[pair]
@@ -242,7 +234,8 @@ class Clearance:
             start, end = result.getNearestPoint1(), result.getNearestPoint2()
             # The normal points from body to obstacle, also where they overlap; J is for the origin of the world.
             n = result.normal
-            gradient = -(n @ J[:3] + np.cross(start, n) @ J[3:]) * self._support[joint]
+            J = pin.getJointJacobian(self.robot.model, data, joint, pin.ReferenceFrame.WORLD).reshape(6, -1)
+            gradient = -(n @ J[:3] + np.cross(start, n) @ J[3:])
             name = self.obstacles[obstacle].name
             closest_pairs.append(ClosestPair(float(result.min_distance), link, name, start, end, gradient))
         return closest_pairs

@@ -44,6 +44,8 @@ class UrdfJoint:
     velocity: float
     effort: float
     mimics: str
+    multiplier: float
+    offset: float
     line: int
 
     @property
@@ -213,8 +215,12 @@ class Checker:
         velocity, effort = (self._bound(element, str(name), str(kind), key) for key in ("velocity", "effort"))
         mimic = element.find("mimic")
         mimics = "" if mimic is None else mimic.get("joint", "")
+        multiplier = 1.0 if mimic is None else self._number(mimic, "multiplier", 1.0)
+        offset = 0.0 if mimic is None else self._number(mimic, "offset", 0.0)
         line = element.sourceline or 0
-        return UrdfJoint(name, kind, parent, child, direction, lower, upper, velocity, effort, mimics, line)
+        return UrdfJoint(
+            name, kind, parent, child, direction, lower, upper, velocity, effort, mimics, multiplier, offset, line
+        )
 
     def _range(self, joint: etree._Element, name: str, kind: str) -> tuple[float, float]:
         """Position limits; 0 to 0 stands for none."""

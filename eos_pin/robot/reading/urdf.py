@@ -21,6 +21,7 @@ from eos_pin.errors import RobotError, UnknownNameError
 from eos_pin.robot.notes import Notes
 from eos_pin.robot.reading.checking import UNLIMITED, Checker, UrdfJoint, plain
 from eos_pin.robot.reading.markup import parse, text_of, undeclared
+from eos_pin.robot.reading.mimic import Follower, limits_with
 
 #: A URDF is text about some hundred parts; more than this is something else [bytes].
 LARGEST_FILE = 64 * 2**20
@@ -73,8 +74,10 @@ class Urdf:
             joint = above.get(joint.parent)
         return tuple(name for name in reversed(names) if self.joints[name].kind != "fixed")
 
-    def rewritten(self, locked: Mapping[str, float]) -> etree._Element:
+    def rewritten(self, locked: Mapping[str, float], followers: Mapping[str, Follower] = {}) -> etree._Element:
         """Copy of the `<robot>` in which `locked` joints are fixed at a position and continuous ones revolute.
+
+        Of other joints only `followers` follow.
 
         Fixing a joint in the description loses nothing: links, shapes, inertia and frames stay what they are.
         A revolute joint without limits keeps q a plain vector; Pinocchio's continuous joint has a sine and a
@@ -89,11 +92,14 @@ class Urdf:
                 _fix(element, joint, locked[joint.name])
             elif joint.has_one_degree:
                 element.set("type", "prismatic" if joint.kind == "prismatic" else "revolute")
-                lower, upper = (-UNLIMITED, UNLIMITED) if joint.unlimited else (joint.lower, joint.upper)
-                limit = {"lower": lower, "upper": upper, "effort": joint.effort, "velocity": joint.velocity}
+                limit = limits_with(joint, [(self.joints[name], f) for name, f in followers.items()])
                 # Its parser knows no infinity.
                 finite = {key: plain([np.clip(value, -UNLIMITED, UNLIMITED)]) for key, value in limit.items()}
                 etree.SubElement(element, "limit", finite)
+                if joint.name in followers:
+                    leader, factor, offset = followers[joint.name]
+                    numbers = {"multiplier": plain([factor]), "offset": plain([offset])}
+                    etree.SubElement(element, "mimic", joint=leader, **numbers)
         return root
 
 
