@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from eos_pin._arrays import Array
 from eos_pin.errors import ViewerError
-from eos_pin.robot._data import workspace
+from eos_pin.robot._coordinates import screw
 from eos_pin.robot.model import Robot
 
 #: Red, green, blue, opacity; each from 0 to 1.
@@ -139,20 +139,19 @@ def skeleton(robot: Robot) -> list[pin.GeometryObject]:
     tips = [(f.parentJoint, f.placement.translation) for f in model.frames if f.type == pin.FrameType.BODY]
     bones = [(model.parents[i], model.jointPlacements[i].translation) for i in range(1, model.njoints)] + tips
     thickness = 0.03 * max([float(np.linalg.norm(point)) for _, point in bones] + [1e-3])
-    data = workspace(model)
     items = []
     for k, (joint, point) in enumerate(bones):
         length = float(np.linalg.norm(point))
         if length > thickness:
             bone = coal.Capsule(thickness, length)
             items.append(_solid(f"bone {k}", joint, bone, along=point, center=0.5 * point, color=BONE))
-    for i, joint in enumerate(robot.joints, start=1):
-        S = data.joints[i].S
-        if joint.kind == "prismatic":
+    for i in range(1, model.njoints):
+        S = screw(model, i)
+        if robot.coordinates.slides[i]:
             shape, axis = coal.Box(3 * thickness, 3 * thickness, 6 * thickness), S[:3]
         else:
             shape, axis = coal.Cylinder(2 * thickness, 5 * thickness), S[3:]
-        items.append(_solid(joint.name, i, shape, along=axis, center=np.zeros(3), color=JOINT))
+        items.append(_solid(str(model.names[i]), i, shape, along=axis, center=np.zeros(3), color=JOINT))
     return items
 
 

@@ -74,12 +74,17 @@ class Scene:
 
     @checked
     def poses(self, t: float, q: JointVector) -> Float[np.ndarray, "bodies 7"]:
-        """Position [m] and quaternion (x, y, z, w) of each body: joints in the order of q, then obstacles."""
+        """Position [m] and quaternion (x, y, z, w) of each body: those that joints move, then obstacles."""
         model = self.robot.model
         data = workspace(model)
         pin.forwardKinematics(model, data, q)
         placements = [data.oMi[i] for i in range(1, model.njoints)] + [o.at(t) for o in self.obstacles]
         return np.array([pin.SE3ToXYZQUAT(placement) for placement in placements])
+
+    @property
+    def _links(self) -> int:
+        """Number of bodies that joints move, with those of joints that follow others."""
+        return int(self.robot.model.njoints) - 1
 
     @checked
     def pack(self, t: Vector, q: Float[np.ndarray, "k n"]) -> bytes:
@@ -95,8 +100,8 @@ class Scene:
             "title": self.title or self.robot.name,
             "caption": self.caption,
             "parts": parts,
-            "bodies": self.robot.n + len(self.obstacles),
-            "joints": self.robot.n,
+            "bodies": self._links + len(self.obstacles),
+            "joints": self._links,
             "paths": [{"name": name, "points": _store(blocks, points, "f4")} for name, points in self.paths.items()],
             "traces": [self._trace(name, frame) for name, frame in self.traces.items()],
             "obstacles": [{"name": o.name, "color": o.color[:3]} for o in self.obstacles],
@@ -128,7 +133,7 @@ class Scene:
                 yield {**mesh, "color": color, "body": int(item.parentJoint) - 1, "matrix": matrix}
         for i, obstacle in enumerate(self.obstacles):
             mesh = _store_mesh(blocks, solid_mesh(obstacle.shape))
-            yield {**mesh, "color": obstacle.color, "body": self.robot.n + i, "matrix": np.eye(4).ravel().tolist()}
+            yield {**mesh, "color": obstacle.color, "body": self._links + i, "matrix": np.eye(4).ravel().tolist()}
 
 
 def sampled(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
+import json
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -21,6 +24,7 @@ from eos_pin import (
     load_robot,
     simulate,
 )
+from eos_pin.viewer.scene import Scene
 
 INERTIA = '<mass value="1"/><inertia ixx="0.1" iyy="0.12" izz="0.13" ixy="0" ixz="0" iyz="0"/>'
 
@@ -189,3 +193,14 @@ def test_model_with_followers_makes_a_coupled_robot() -> None:
     assert robot.joint_names == ("a", "c", "d", "e")
     with pytest.raises(InputError, match="follow"):
         MujocoPlant.from_robot(robot)
+
+
+def test_followers_move_in_the_replay(robot: Robot, tree) -> None:
+    model, data = tree
+    scene, q = Scene(robot), np.array([0.55, -1.5, 1.4, 0.8])
+    assert model.njoints - 1 == len(scene.poses(0.0, q)) == 6
+    pin.forwardKinematics(model, data, S @ q + OFFSET)
+    assert np.abs(scene.poses(0.0, q)[-1, :3] - data.oMi[6].translation).max() < 1e-12
+    packed = gzip.decompress(scene.pack(np.array([0.0, 1.0]), np.array([q, 0.5 * q])))
+    header = json.loads(packed[4 : 4 + int.from_bytes(packed[:4], "little")])
+    assert header["bodies"] == header["joints"] == 6
