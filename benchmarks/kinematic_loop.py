@@ -5,6 +5,7 @@
     python benchmarks/kinematic_loop.py orders --runs 100   a moved reference within its bounds, ten orders a run
     python benchmarks/kinematic_loop.py stops --runs 200    stops on the path at random instants
     python benchmarks/kinematic_loop.py peers               steps and joints after each round, in one run
+    python benchmarks/kinematic_loop.py planned             the same on large circles, on planned joints
 
 Results are printed and written as JSON (--out). The peers' environments come from `benchmarks/peers.py setup`.
 """
@@ -23,7 +24,20 @@ import tyro
 from peers import PEERS, WORKERS, installed
 from setting import Setting
 
-from eos_pin import Damp, JointLimits, KinematicLoop, Posture, SetPoint, SingularError, Track, load_robot
+from eos_pin import (
+    Damp,
+    FollowPlan,
+    JointLimits,
+    KinematicLoop,
+    Posture,
+    SetPoint,
+    SingularError,
+    Track,
+    Trajectory,
+    circle,
+    load_robot,
+    plan,
+)
 from eos_pin._arrays import JointVector
 from eos_pin.experiments.defaults import fitting_path, make_task, rest_posture
 from eos_pin.tasks.base import Point, Task
@@ -143,17 +157,27 @@ def stops(runs: int) -> dict[str, Any]:
     )
 
 
-def peers(rounds: int = 3, period: float = 0.002) -> dict[str, Any]:
+def planned() -> dict[str, Any]:
+    """`peers` on circles too large for one chart; the loop follows closed plans, where all begin."""
+    return peers(period=0.004, radius=0.4)
+
+
+def peers(rounds: int = 3, period: float = 0.002, radius: float | None = None) -> dict[str, Any]:
     """Medians of steps, and drift of the joints in each round, on one path within the same limits."""
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name in ROBOTS:
             setting = Setting.make(name, False, Path(folder))
             robot, task, q = setting.robot, setting.task, setting.posture
-            path = fitting_path(task, q, period=4.0)
-            kept = JointLimits.without_torques(robot)
+            path: Trajectory = fitting_path(task, q, period=4.0)
+            kept, law = JointLimits.without_torques(robot), None
+            if radius is not None:
+                reach = radius * robot.reach
+                path = circle([0.5 * reach, 0.0, 0.7 * reach], reach, period=8.0, plane="xy")
+                way = plan(task, path, closed=True)
+                path, q, law = way.path, way(0.0).q, FollowPlan(way, robot)
             count = round(path.period / period)
-            loop = KinematicLoop(task, path, Track(), control_period=period, limits=kept)
+            loop = KinematicLoop(task, path, law, control_period=period, limits=kept)
             joints, times, ends = q, [], []
             for k in range(rounds * count):
                 start = time.process_time_ns()
@@ -203,7 +227,7 @@ def _told(median: float, ends: list[list[float]], task: Task, q: JointVector, go
 
 
 def main(
-    what: tyro.conf.Positional[Literal["tracking", "limits", "orders", "stops", "peers"]],
+    what: tyro.conf.Positional[Literal["tracking", "limits", "orders", "stops", "peers", "planned"]],
     runs: int = 100,
     out: Path | None = None,
 ) -> None:
@@ -214,8 +238,8 @@ def main(
         runs: Number of random runs.
         out: File for the results.
     """
-    if what in ("tracking", "peers"):
-        found = {"tracking": tracking, "peers": peers}[what]()
+    if what in ("tracking", "peers", "planned"):
+        found = {"tracking": tracking, "peers": peers, "planned": planned}[what]()
     else:
         found = {"limits": limits, "orders": orders, "stops": stops}[what](runs)
     for name, value in found.items():

@@ -78,6 +78,7 @@ from .simulation import SensorNoise as SensorNoise
 from .simulation import TaskForce as TaskForce
 from .simulation import simulate as simulate
 from .simulation import simulate_extended as simulate_extended
+from .simulation import simulate_kinematic as simulate_kinematic
 from .simulation import simulate_sampled as simulate_sampled
 from .tasks import AxisTask as AxisTask
 from .tasks import ComTask as ComTask

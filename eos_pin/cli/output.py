@@ -277,9 +277,14 @@ def run_table(summary: Mapping[str, Any]) -> Table:
     table.add_row("chart switches", str(summary["chart_switches"]))
     if summary["given_up_seconds"]:
         table.add_row("part of the task given up", f"{format_number(summary['given_up_seconds'])} s")
-    table.add_row("kinetic energy, mean", f"{format_number(summary['kinetic_energy_mean'])} J")
-    table.add_row("largest torque or force", f"{format_number(summary['torque_max'])} N m or N")
-    table.add_row("computing time", f"{summary['cpu_seconds']:.2f} s")
+    for what, key, unit in (
+        ("kinetic energy, mean", "kinetic_energy_mean", "J"),
+        ("largest torque or force", "torque_max", "N m or N"),
+        ("computing time", "cpu_seconds", "s"),
+    ):
+        # Not every run has inertias, torques, or a computer.
+        if not math.isnan(summary[key]):
+            table.add_row(what, f"{format_number(summary[key])} {unit}")
     if summary["limits"]["told"]:
         told = escape(summary["limits"]["told"])
         table.add_row("limits", f"[bold red]{told}[/]" if summary["limits"]["passed"] else told)

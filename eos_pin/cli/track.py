@@ -21,6 +21,7 @@ from eos_pin.cli.output import (
     warn_of_gravity,
     write_outputs,
 )
+from eos_pin.experiments.commanded import run_commanded
 from eos_pin.experiments.options import (
     ControllerName,
     ControlOptions,
@@ -67,6 +68,7 @@ def track(
       eos-pin track path/to/robot.urdf --frame tool0 --path circle --size 0.1 --cycles 5
       eos-pin track panda --size 0.3 --path circle --self-motion planned
       eos-pin track panda --plan circle.npz
+      eos-pin track ur5 --command position --control-rate 500
       eos-pin track panda --control-rate 1000 --noise 1e-5 --model-error 0.1 --torque-limits
     """
     check_options(path, control, simulation, seed=output.seed)
@@ -85,12 +87,17 @@ def track(
             reference, q = motion.path, motion.q
     say_notes(reference)
     law = motion.law if motion else None
-    controller = control.make(goal, reference, q, simulation.control_period, law=law)
-    duration = path.length(reference)
-    warn_of_gravity(machine, q)
+    duration, period = path.length(reference), simulation.control_period
+    torque = control.command == "torque"
+    if torque:
+        controller = control.make(goal, reference, q, period, law=law)
+        warn_of_gravity(machine, q)
     with progress(output, machine, q, duration, f"{machine.name}, {task.task}") as observer:
-        start = motion.dq if motion else None
-        result = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer, dq=start)
+        if torque:
+            start = motion.dq if motion else None
+            result = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer, dq=start)
+        else:
+            result = run_commanded(control, goal, reference, q, duration, period=period, law=law, observer=observer)
     names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
     files = output.within(Path("runs") / f"{Path(robot.robot).stem}-{task.task}", names=names)
     summary = result.summary()

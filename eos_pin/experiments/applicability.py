@@ -33,11 +33,37 @@ def _is_sampled(s: Settings) -> bool:
     return s["control_rate"] is not None or s["plant"] == "mujoco"
 
 
+def _is_torque(s: Settings) -> bool:
+    return bool(s["command"] == "torque")
+
+
 def _is_random(s: Settings) -> bool:
     return bool(s["noise"] or s["dropout"] or s["model_error"] or s["self_motion"] == "planned")
 
 
 RULES = (
+    Rule(
+        (
+            "controller",
+            "plant",
+            "substeps",
+            "noise",
+            "delay",
+            "dropout",
+            "friction",
+            "push",
+            "push_time",
+            "torque_limits",
+            "torque_rate",
+            "soft_start",
+            "model_error",
+            "method",
+            "rtol",
+        ),
+        _is_torque,
+        "positions and velocities go to an ideal joint servo; leave --command out for torques",
+    ),
+    Rule(("acceleration",), lambda s: not _is_torque(s), "torques are commanded; add --command position"),
     Rule(("size", "plane", "period"), lambda s: s["path"] in DRAWN, "it belongs to the paths eight, circle and line"),
     Rule(("cycles",), lambda s: s["duration"] is None, "the duration is given; leave one of them out"),
     Rule(("cycles",), lambda s: s["path"] != "hold", "a robot that holds still has no rounds; give --duration"),

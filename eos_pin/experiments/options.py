@@ -175,6 +175,9 @@ class ControlOptions:
         kp_self_motion: Gain on the self-motion error [1/s²].
         kd_self_motion: Gain on the self-motion's velocity error [1/s].
         chart_margin: A chart is left where its margin falls to this, between 0 and 1.
+        command: Command that the robot takes: torque, or joint position or velocity, for which it needs no inertia and
+            the task is tracked by a `KinematicLoop`, at 500 Hz unless said otherwise.
+        acceleration: Largest acceleration of every joint where positions or velocities are commanded [rad/s² or m/s²].
     """
 
     controller: ControllerName = "eos"
@@ -186,6 +189,8 @@ class ControlOptions:
     kp_self_motion: float = 100.0
     kd_self_motion: float = 20.0
     chart_margin: float = 0.5
+    command: Literal["torque", "position", "velocity"] = "torque"
+    acceleration: float | None = None
 
     @checked
     def make(
@@ -206,6 +211,8 @@ class ControlOptions:
         from eos_pin.control.limited import LimitedEosController
         from eos_pin.control.operational import BASELINES
 
+        if self.command != "torque":
+            raise InputError(f"--command {self.command} is for `eos-pin track` only; leave it out")
         if self.controller in BASELINES:
             return BASELINES[self.controller](task, reference, q)
         atlas = Atlas(task, threshold=self.chart_margin)

@@ -16,3 +16,4 @@ from .panels import plot_path as plot_path
 from .panels import plot_self_motion as plot_self_motion
 from .panels import plot_task_error as plot_task_error
 from .panels import plot_torques as plot_torques
+from .panels import plot_velocities as plot_velocities

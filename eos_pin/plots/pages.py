@@ -45,6 +45,7 @@ from eos_pin.plots.panels import (
     plot_self_motion,
     plot_task_error,
     plot_torques,
+    plot_velocities,
 )
 from eos_pin.robot.model import Robot
 from eos_pin.simulation.result import Result
@@ -65,6 +66,7 @@ __all__ = [
     "plot_self_motion",
     "plot_task_error",
     "plot_torques",
+    "plot_velocities",
     "save",
     "style",
     "sweep",
@@ -98,7 +100,8 @@ def overview(result: Result, robot: Robot | None = None) -> Figure:
     else:
         plot_drift(ax, result, robot)
     plot_errors(add_axes(figure, grid[2, 1]), result)
-    plot_torques(add_axes(figure, grid[3, 0]), result, robot)
+    known = bool(np.isfinite(result.tau).any())
+    (plot_torques if known else plot_velocities)(add_axes(figure, grid[3, 0]), result, robot)
     plot_kinetic_energy(add_axes(figure, grid[3, 1]), result)
     names = [result.info.get(key, {}).get(word, "") for key, word in (("robot", "name"), ("controller", "kind"))]
     title = ", ".join(word for word in (*names, result.message or result.status) if word)

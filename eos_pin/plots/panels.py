@@ -216,7 +216,7 @@ def plot_kinetic_energy(ax: Axes, results: Result | Mapping[str, Result]) -> Non
     for k, (name, result) in enumerate(runs.items()):
         color = colors_of(runs)[k] if name else ACTUAL
         ax.plot(result.t, result.kinetic_energy, color=color, label=name or None, zorder=3.0 - 0.01 * k)
-    means = [mean for result in runs.values() if (mean := result.mean(result.kinetic_energy)) > 0.0]
+    means = [mean for result in runs.values() if (mean := result._mean(result.kinetic_energy)) > 0.0]
     if means and max(means) > 30.0 * min(means):
         use_decades(ax)
         # Where a motion turns, its energy is zero; that is no reason to show ten decades.
@@ -252,11 +252,26 @@ def plot_torques(ax: Axes, result: Result, robot: Robot | None = None) -> None:
     Where the joints have different limits, each torque is drawn relative to its own.
     """
     effort = robot.effort if robot else np.full(result.tau.shape[1], np.inf)
-    limits = np.unique(effort[np.isfinite(effort)])
-    relative = len(limits) > 1 and bool(np.isfinite(effort).all())
-    tau, limits = (result.tau / effort, np.ones(1)) if relative else (result.tau, limits)
-    draw_lines(ax, result.t, tau, "\\tau")
-    focus(ax, result, tau)
+    units = [{"m": "N", "rad": "N m"}[unit] for unit in joint_units(robot)]
+    _plot_within(ax, result, result.tau, effort, "torque", "\\tau", units)
+
+
+@checked
+def plot_velocities(ax: Axes, result: Result, robot: Robot | None = None) -> None:
+    """Velocities of joints over time, drawn as `plot_torques` draws torques."""
+    fastest = robot.velocity if robot else np.full(result.dq.shape[1], np.inf)
+    _plot_within(ax, result, result.dq, fastest, "velocity", "\\dot q", [f"{unit}/s" for unit in joint_units(robot)])
+
+
+def _plot_within(
+    ax: Axes, result: Result, values: Array, bounds: Array, quantity: str, symbol: str, units: list[str]
+) -> None:
+    """A quantity of each joint over time, with the range beyond its limits shaded."""
+    limits = np.unique(bounds[np.isfinite(bounds)])
+    relative = len(limits) > 1 and bool(np.isfinite(bounds).all())
+    values, limits = (values / bounds, np.ones(1)) if relative else (values, limits)
+    draw_lines(ax, result.t, values, symbol)
+    focus(ax, result, values)
     low, high = ax.get_ylim()
     far = limits[limits > 1.5 * max(-low, high)]
     for limit in limits[: len(limits) - len(far)]:
@@ -267,9 +282,9 @@ def plot_torques(ax: Axes, result: Result, robot: Robot | None = None) -> None:
     ax.set_ylim(low, high)
     name_time(ax, result)
     if relative:
-        ax.set_ylabel("torque / limit")
+        ax.set_ylabel(f"{quantity} / limit")
         return
-    _set_ylabel(ax, "torque", [{"m": "N", "rad": "N m"}[unit] for unit in joint_units(robot)])
+    _set_ylabel(ax, quantity, units)
     if len(far):
         # Shading that far away would flatten the curves.
         place: dict[str, Any] = {"transform": ax.transAxes, "ha": "right", "va": "top"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeAlias
@@ -148,26 +148,11 @@ class Recorder:
             **names_of(task),
         )
         apart = controller.joint_distances(run.t, run.q)
-        if apart is not None:
-            joint_distance = {"max": float(apart.max()), "end": float(apart[-1])}
-            run = replace(run, info={**run.info, "joint_distance": joint_distance})
         if not run.ok:
+            run = with_shortcomings(run, "", apart)
             return replace(run, message=run.message or _not_measured(controller))
-        lost = run.deficit_rows
-        why = {"task": "near a singularity of the task", "limit": "to keep the limits"}
-        when = "; ".join(
-            f"{why[kind]} for {met['seconds']:.3g} s, first at t = {met['first']:.4g} s"
-            for kind, met in run.singularities.items()
-            if kind in why
-        )
-        passed = controller._broken_limits(run.t, run.q, run.dq, run.tau)
-        elsewhere = _elsewhere(apart)
-        messages = [passed] * bool(passed) + [f"part of the task was given up {when}"] * bool(lost.any())
-        messages += [elsewhere] * bool(elsewhere)
-        # While the controller settles that is to be expected; later the run has not done what it was to do.
-        degraded = passed or elsewhere or lost[run.settled_row :].any()
-        message = ". Also, ".join(messages) or run.message or _not_measured(controller)
-        return replace(run, status="degraded" if degraded else run.status, message=message)
+        judged = with_shortcomings(run, controller._broken_limits(run.t, run.q, run.dq, run.tau), apart)
+        return replace(judged, message=judged.message or _not_measured(controller))
 
     def _self_motion(self) -> dict[str, Any]:
         """Number of the chart and self-motion of each sample."""
@@ -204,6 +189,34 @@ class Recorder:
             error = np.array(list(map(task._minus, z_ref, z)))
         forces = np.array([force.force(row.t) for row in rows], dtype=float) if force else np.zeros_like(dz)
         return dict(zip(_TASK_COLUMNS, (z, dz, z_ref, error, forces, singular + limited, limited), strict=True))
+
+
+def with_shortcomings(run: Result, passed: str, apart: Array | None) -> Result:
+    """The run with its shortcomings: part of the task given up, limits passed, joints elsewhere.
+
+    Args:
+        run: The run.
+        passed: Which limits were passed, in words; empty where none were.
+        apart: Distances of the joints from those to follow, at every sample; None where none are followed.
+    """
+    if apart is not None:
+        joint_distance = {"max": float(apart.max()), "end": float(apart[-1])}
+        run = replace(run, info={**run.info, "joint_distance": joint_distance})
+    if not run.ok:
+        return run
+    lost = run.deficit_rows
+    why = {"task": "near a singularity of the task", "limit": "to keep the limits"}
+    when = "; ".join(
+        f"{why[kind]} for {met['seconds']:.3g} s, first at t = {met['first']:.4g} s"
+        for kind, met in run.singularities.items()
+        if kind in why
+    )
+    elsewhere = _elsewhere(apart)
+    messages = [passed] * bool(passed) + [f"part of the task was given up {when}"] * bool(lost.any())
+    messages += [elsewhere] * bool(elsewhere)
+    # While the controller settles that is to be expected; later the run has not done what it was to do.
+    degraded = passed or elsewhere or lost[run.settled_row :].any()
+    return replace(run, status="degraded" if degraded else run.status, message=". Also, ".join(messages) or run.message)
 
 
 def _elsewhere(apart: Array | None) -> str:
@@ -255,10 +268,14 @@ def joint_run(
     q: Float[Array, "T n"],
     z: Float[Array, "T size"],
     *,
+    dq: Float[Array, "T n"] | None = None,
     v: Float[Array, "T r"] | None = None,
     chart: Int[Array, " T"] | None = None,
     period: float = math.inf,
+    status: str = "unreached",
     message: str = "",
+    info: Mapping[str, Any] | None = None,
+    **columns: Array,
 ) -> Result:
     """Joints over time without dynamics, in the form that figures, tables and replay take.
 
@@ -267,26 +284,42 @@ def joint_run(
         t: Times [s].
         q: Joints.
         z: Task points that were asked for.
+        dq: Velocities of joints that were measured or commanded; without them the joints are postures.
         v: Self-motion coordinates, if there are charts.
         chart: Number of the chart at each time.
         period: Period of the path [s].
-        message: Why it ends early; empty where it does not.
+        status: What the run is where there is a message.
+        message: Why it ends early, or what is wrong with it; empty otherwise.
+        info: Provenance beside that of robot and task.
+        columns: Further columns of the `Result`, each zero by default.
     """
     robot, t = task.robot, np.asarray(t, dtype=float)
     rest, still = np.zeros(len(t)), np.zeros((len(t), robot.n))
+    speeds, moving = still if dq is None else dq, dq is not None
     v = np.zeros((len(t), 0)) if v is None else v
     chart = np.zeros(len(t), dtype=np.int64) if chart is None else chart
     reached = np.array([task._value(row) for row in q]).reshape(len(t), task.size)
     error = np.array([task._minus(a, b) for a, b in zip(z, reached, strict=True)]).reshape(len(t), task.m)
-    info = {"robot": _record(robot), "task": task.describe(), "controller": {"kind": "Kinematics"}, "arguments": {}}
-    info["limits"] = limits_of(robot, moving=False)
+    told = {"robot": _record(robot), "task": task.describe(), "controller": {"kind": "Kinematics"}, "arguments": {}}
+    told["limits"] = limits_of(robot, moving=moving)
+    dz, energy = 0.0 * error, rest
+    if moving:
+        rows = list(zip(q, speeds, strict=True))
+        dz = np.array([task._at(*row).dz for row in rows]).reshape(error.shape)
+        # Nobody knows the torques.
+        energy = (
+            np.full(len(t), math.nan) if robot.lacks_dynamics else np.array([robot._kinetic_energy(*x) for x in rows])
+        )
+    given: dict[str, Any] = {
+        "ddq": still, "tau": np.full_like(still, math.nan) if moving else still, "task_force": 0.0 * error,
+        "task_deficit": 0.0 * error, "deficit_from_limits": 0.0 * error, "dv": 0.0 * v,
+        "v_ref": np.full_like(v, np.nan), "switches": t[1:][np.diff(chart) != 0], "kinetic_energy": energy,
+        "work": rest,
+    }  # fmt: skip
     return Result(
-        t=t, q=q, dq=still, ddq=still, tau=still,
-        z=reached, dz=0.0 * error, z_ref=z, error=error, task_force=0.0 * error,
-        task_deficit=0.0 * error, deficit_from_limits=0.0 * error,
-        v=v, dv=0.0 * v, v_ref=np.full_like(v, np.nan), chart=chart, switches=t[1:][np.diff(chart) != 0],
-        kinetic_energy=rest, work=rest, period=period,
-        status="unreached" if message else "finished", message=message, info=provenance() | info, **names_of(task),
+        t=t, q=q, dq=speeds, z=reached, dz=dz, z_ref=z, error=error, v=v, chart=chart, period=period,
+        status=status if message else "finished", message=message, info=provenance() | told | dict(info or {}),
+        **given | columns, **names_of(task),
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eos_pin._arrays import Array, Vector, checked, largest_magnitude, nearest
+from eos_pin._arrays import Array, Vector, checked, largest_magnitude, nearest, unchecked
 from eos_pin._files import write_csv
 from eos_pin.errors import InputError, Renamed, ResultError
 from eos_pin.robot.loading import load_robot
@@ -217,6 +217,8 @@ class Result:
         span = slice(first, last + 1)
         return float(np.trapezoid(values[span], self.t[span]) / (self.t[last] - self.t[first]))
 
+    _mean = unchecked(mean)
+
     def summary(self) -> dict[str, Any]:
         """Figures of the run as plain values, for a table or JSON.
 
@@ -248,7 +250,7 @@ class Result:
             "given_up_seconds": self.deficit_seconds,
             "singularities": self.singularities,
             "chart_switches": len(self.switches),
-            "kinetic_energy_mean": self.mean(self.kinetic_energy),
+            "kinetic_energy_mean": self._mean(self.kinetic_energy),
             "torque_max": largest_magnitude(self.tau),
             "limit_ratio_max": limits["worst"],
             "limits": limits,
