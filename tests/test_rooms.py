@@ -20,13 +20,13 @@ TABLE = """
     _kernels        pinocchio scipy
     robot           coal lxml pinocchio yourdfpy
     tasks           pinocchio
-    trajectories    pinocchio ruckig scipy
+    trajectories    pinocchio rosbags ruckig scipy
     charts          scipy
     planning        coal pinocchio scipy toppra trimesh yaml
     control         daqp pylibfranka scipy
     simulation      mujoco pinocchio scipy
     experiments     joblib pinocchio pyarrow
-    viewer          coal pinocchio tornado trimesh
+    viewer          coal pinocchio rerun tornado trimesh
     plots           matplotlib
     cli             matplotlib rich tyro
     paper           PIL coal matplotlib rich

@@ -19,7 +19,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from eos_pin._arrays import JointVector
+from eos_pin._arrays import Array, JointVector
 from eos_pin._files import write_atomically
 from eos_pin.cli.tables import fitted
 from eos_pin.cli.tables import format_number as format_number
@@ -60,6 +60,8 @@ class Output:
         html: File for the browser replay, which plays offline.
         plot: File for the figure (.png, .pdf or .svg).
         csv: File for the samples as a table.
+        bag: Folder for the motion as a bag of ROS 2, joint states and a trajectory (pip install 'eos-pin[ros]').
+        rerun: File for Rerun's viewer (.rrd), robot and curves (pip install 'eos-pin[rerun]').
         view: Watch the run live in the browser, in real time.
         seed: Seed of everything random.
     """
@@ -69,6 +71,8 @@ class Output:
     html: Path | None = None
     plot: Path | None = None
     csv: Path | None = None
+    bag: Path | None = None
+    rerun: Path | None = None
     view: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     seed: int = 0
 
@@ -90,7 +94,7 @@ class Output:
             names: File name by the name of the option.
         """
         base = self.out or folder
-        chosen = {key: getattr(self, key) for key in ("json", "html", "plot", "csv")}
+        chosen = {key: getattr(self, key) for key in ("json", "html", "plot", "csv", "bag", "rerun")}
         if base is not None:
             chosen |= {key: chosen[key] or base / name for key, name in names.items()}
         return Output(out=base, view=self.view, seed=self.seed, **chosen)
@@ -189,11 +193,41 @@ def write_outputs(
         from eos_pin.plots import pages as plots
 
         written.append(plots.save(plot or plots.overview(result, robot), output.plot))
+    if output.bag is not None:
+        from eos_pin.trajectories.bags import JointMotion, write_bag
+
+        motion = JointMotion(result.joints, result.t, result.q, result.dq, result.ddq, result.tau)
+        written.append(write_bag(output.bag, motion))
+    if output.rerun is not None and robot is not None:
+        from eos_pin.viewer.rerun_file import write_rerun
+
+        scene = scene_of(result, robot, obstacles, title=title)
+        written.append(write_rerun(output.rerun, scene, result.t, result.q, curves_of(result, robot)))
     if output.html is not None and robot is not None:
         from eos_pin.viewer.viewer import write_html
 
         written.append(write_html(output.html, scene_of(result, robot, obstacles, title=title), result.t, result.q))
     return written
+
+
+def curves_of(result: Result, robot: Robot) -> dict[str, Array]:
+    """Numbers of a run over time, by where they stand in a tree: joints with their limits, task, self-motion, chart."""
+    curves: dict[str, Array] = {"chart": result.chart.astype(float)}
+    for name in ("q", "dq", "ddq", "tau"):
+        values = getattr(result, name)
+        if values.size:
+            curves |= {f"joints/{joint}/{name}": values[:, i] for i, joint in enumerate(result.joints)}
+    for name, limit in (("lower", robot.lower), ("upper", robot.upper)):
+        ends = zip(result.joints, limit, strict=True)
+        curves |= {f"joints/{joint}/{name}": np.full_like(result.t, end) for joint, end in ends if math.isfinite(end)}
+    for name in ("z", "z_ref", "error", "v", "v_ref"):
+        values = getattr(result, name)
+        if values.size:
+            curves |= {
+                f"{'self-motion' if name[0] == 'v' else 'task'}/{name}/{i + 1}": values[:, i]
+                for i in range(values.shape[1])
+            }
+    return curves
 
 
 def show(scene: Scene, result: Result) -> None:

@@ -222,6 +222,7 @@ def plan(
     from eos_pin.planning.obstacles.scene import read_scene
     from eos_pin.planning.planner import plan as planned
 
+    output.without("rerun", reason="that is for runs; follow the plan by `eos-pin track --plan FILE --rerun FILE`")
     files = output.within(
         None, names={"json": "plan.json", "csv": "joints.csv", "html": "replay.html", "plot": "plan.png"}
     )
@@ -300,6 +301,11 @@ def _deliver(
         written.append(write_json(files.json, found.info))
     if files.csv is not None:
         written.append(found.to_csv(files.csv, derivatives=False))
+    if files.bag is not None:
+        from eos_pin.trajectories.bags import JointMotion, write_bag
+
+        motion = JointMotion([joint.name for joint in found.robot.joints], *found.table())
+        written.append(write_bag(files.bag, motion))
     if files.html is not None or files.plot is not None or files.view:
         written += _draw(found, files, scene, clearances)
     return written
