@@ -196,7 +196,9 @@ def write_outputs(
     if output.bag is not None:
         from eos_pin.trajectories.bags import JointMotion, write_bag
 
-        motion = JointMotion(result.joints, result.t, result.q, result.dq, result.ddq, result.tau)
+        # Robots that take positions or velocities have no torques.
+        effort = result.tau if np.isfinite(result.tau).all() else None
+        motion = JointMotion(result.joints, result.t, result.q, result.dq, result.ddq, effort)
         written.append(write_bag(output.bag, motion))
     if output.rerun is not None and robot is not None:
         from eos_pin.viewer.rerun_file import write_rerun
@@ -215,7 +217,7 @@ def curves_of(result: Result, robot: Robot) -> dict[str, Array]:
     curves: dict[str, Array] = {"chart": result.chart.astype(float)}
     for name in ("q", "dq", "ddq", "tau"):
         values = getattr(result, name)
-        if values.size:
+        if np.isfinite(values).all():
             curves |= {f"joints/{joint}/{name}": values[:, i] for i, joint in enumerate(result.joints)}
     for name, limit in (("lower", robot.lower), ("upper", robot.upper)):
         ends = zip(result.joints, limit, strict=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eos_pin.cli.output import console, grid, print_files, say_notes, stderr, warn_of_gravity, write_json
+from eos_pin.errors import InputError
 from eos_pin.experiments.options import ControlOptions, PathOptions, RobotOptions, TaskOptions, check_options
 
 # What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
@@ -70,28 +71,39 @@ def rehearse(
     from eos_pin._arrays import number
     from eos_pin.control.hardware.log import RunLog
     from eos_pin.control.hardware.runner import Runner
+    from eos_pin.control.kinematic import KinematicLoop
     from eos_pin.control.loop import ControlLoop
+    from eos_pin.experiments.commanded import commanded_loop
     from eos_pin.simulation.mujoco import MujocoPlant
     from eos_pin.simulation.rehearsal import MujocoConnection
     from eos_pin.trajectories.pace import Clock, PacedPath
 
     check_options(path, control)
+    if control.command != "torque" and (loop.torque_rate is not None or loop.soft_start != RealTime.soft_start):
+        raise InputError("--soft-start and --torque-rate do not apply: no torques are commanded; leave them out")
+    if loop.seed and not loop.model_error:
+        raise InputError(f"--seed {loop.seed} does not apply: nothing is random; add --model-error")
     period = 1.0 / number(loop.control_rate, "the rate", above=0.0)
     machine = robot.load()
     say_notes(machine)
     goal, q = task.make(machine)
     reference = path.make(goal, q)
     say_notes(reference)
-    warn_of_gravity(machine, q)
-    clock = Clock(speed=0.0)
-    controller = control.make(goal, PacedPath(reference, clock), q, period)
-    torques = ControlLoop(controller, soft_start=loop.soft_start, torque_rate=loop.torque_rate)
+    clock: Clock | None = None
+    driver: ControlLoop | KinematicLoop
+    if control.command == "torque":
+        warn_of_gravity(machine, q)
+        clock = Clock(speed=0.0)
+        controller = control.make(goal, PacedPath(reference, clock), q, period)
+        driver = ControlLoop(controller, soft_start=loop.soft_start, torque_rate=loop.torque_rate)
+    else:
+        driver = commanded_loop(control, goal, reference, q, period=period)
     e = loop.model_error
     plant = machine.perturbed(mass=e, com=e, inertia=e, seed=loop.seed) if e else machine
-    connection = MujocoConnection(MujocoPlant.from_robot(plant), q, control_period=period)
+    connection = MujocoConnection(MujocoPlant.from_robot(plant), q, command=control.command, control_period=period)
     file = loop.log or Path("runs") / f"{Path(robot.robot).stem}-{task.task}" / "log.csv"
-    log = RunLog(file, [joint.name for joint in machine.joints], "torque")
-    runner = Runner(connection, torques, clock=clock, log=log, watchdog=loop.watchdog, priority=loop.priority)
+    log = RunLog(file, machine.joint_names, control.command)
+    runner = Runner(connection, driver, clock=clock, log=log, watchdog=loop.watchdog, priority=loop.priority)
     runner.set_speed(loop.speed)
     duration = path.length(reference)
     stderr.print(f"{machine.name}, {task.task}: {duration:g} s in real time; Ctrl-C stops it", markup=False)

@@ -21,7 +21,7 @@ from eos_pin.cli.output import (
     warn_of_gravity,
     write_outputs,
 )
-from eos_pin.experiments.commanded import run_commanded
+from eos_pin.experiments.commanded import commanded_loop, run_commanded
 from eos_pin.experiments.options import (
     ControllerName,
     ControlOptions,
@@ -92,12 +92,14 @@ def track(
     if torque:
         controller = control.make(goal, reference, q, period, law=law)
         warn_of_gravity(machine, q)
+    else:
+        loop = commanded_loop(control, goal, reference, q, period=period, law=law)
     with progress(output, machine, q, duration, f"{machine.name}, {task.task}") as observer:
         if torque:
             start = motion.dq if motion else None
             result = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer, dq=start)
         else:
-            result = run_commanded(control, goal, reference, q, duration, period=period, law=law, observer=observer)
+            result = run_commanded(loop, q, duration, observer=observer)
     names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
     files = output.within(Path("runs") / f"{Path(robot.robot).stem}-{task.task}", names=names)
     summary = result.summary()

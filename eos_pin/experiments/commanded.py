@@ -9,6 +9,7 @@ from eos_pin.experiments.options import ControlOptions
 
 # As in `options`: so that `eos-pin --help` is quick.
 if TYPE_CHECKING:
+    from eos_pin.control.kinematic import KinematicLoop
     from eos_pin.control.objectives import Objective
     from eos_pin.simulation._recorder import Observer
     from eos_pin.simulation.result import Result
@@ -19,40 +20,33 @@ if TYPE_CHECKING:
 CONTROL_PERIOD = 0.002
 
 
-def run_commanded(
+def commanded_loop(
     control: ControlOptions,
     task: Task,
     reference: Trajectory,
     q: JointVector,
-    duration: float,
     *,
     period: float | None = None,
     law: Objective | None = None,
-    observer: Observer | None = None,
-) -> Result:
-    """Run a `KinematicLoop` with these options on an ideal joint servo.
+) -> KinematicLoop:
+    """Make a `KinematicLoop` with these options.
 
     Args:
         control: How it is controlled.
         task: The task.
         reference: What it follows.
         q: Joints at the start.
-        duration: Length of the run [s].
         period: Control period [s].
         law: Law of the self-motion, where it is made already.
-        observer: Called with (t, q) of every sample.
 
     Raises:
         InputError: The options do not fit.
-        KeyboardInterrupt: The run was interrupted; what was computed of it is dropped.
     """
     from eos_pin.charts.atlas import Atlas
     from eos_pin.control.kinematic import KinematicLoop
     from eos_pin.control.limited import JointLimits
-    from eos_pin.simulation._recorder import uninterrupted
-    from eos_pin.simulation.kinematic import simulate_kinematic
 
-    loop = KinematicLoop(
+    return KinematicLoop(
         task,
         reference,
         law or control._law(task, reference, q),
@@ -62,4 +56,21 @@ def run_commanded(
         kd=control.kd,
         atlas=Atlas(task, threshold=control.chart_margin),
     )
+
+
+def run_commanded(loop: KinematicLoop, q: JointVector, duration: float, *, observer: Observer | None = None) -> Result:
+    """Run a loop on an ideal joint servo.
+
+    Args:
+        loop: The loop.
+        q: Joints at the start.
+        duration: Length of the run [s].
+        observer: Called with (t, q) of every sample.
+
+    Raises:
+        KeyboardInterrupt: The run was interrupted; what was computed of it is dropped.
+    """
+    from eos_pin.simulation._recorder import uninterrupted
+    from eos_pin.simulation.kinematic import simulate_kinematic
+
     return uninterrupted(simulate_kinematic(loop, q, duration=duration, observer=observer))

@@ -212,7 +212,9 @@ class ControlOptions:
         from eos_pin.control.operational import BASELINES
 
         if self.command != "torque":
-            raise InputError(f"--command {self.command} is for `eos-pin track` only; leave it out")
+            raise InputError(
+                f"--command {self.command} is for `eos-pin track` and `eos-pin rehearse` only; leave it out"
+            )
         if self.controller in BASELINES:
             return BASELINES[self.controller](task, reference, q)
         atlas = Atlas(task, threshold=self.chart_margin)

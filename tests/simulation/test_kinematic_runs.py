@@ -25,7 +25,7 @@ from eos_pin import (
     simulate_kinematic,
 )
 from eos_pin.cli.main import main
-from eos_pin.experiments.commanded import run_commanded
+from eos_pin.experiments.commanded import commanded_loop, run_commanded
 from eos_pin.experiments.defaults import fitting_path, make_task, rest_posture
 from eos_pin.experiments.options import ControlOptions, TaskOptions
 from eos_pin.plots import overview
@@ -174,7 +174,7 @@ def test_track_commands_positions(tmp_path, capsys):
 def test_velocities_are_commanded_with_the_same_options(ur5):
     control = ControlOptions(command="velocity", kp=50.0, self_motion="damp", chart_margin=0.6)
     task, q = TaskOptions().make(ur5)
-    run = run_commanded(control, task, task.hold(q), q, 0.1)
+    run = run_commanded(commanded_loop(control, task, task.hold(q), q), q, 0.1)
     assert run.ok
     assert run.info["controller"]["kp"] == [50.0] * 3
     assert run.info["arguments"]["control_period"] == 0.002
