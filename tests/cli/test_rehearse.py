@@ -19,8 +19,6 @@ from eos_pin.cli.main import main
 def test_rehearsal_reports_deadlines_and_keeps_a_log(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
     files = ["--log", str(tmp_path / "log.csv"), "--json", str(tmp_path / "figures.json")]
     # Slow enough for a busy machine.
     assert main(["rehearse", "panda", "--command", command, "--control-rate", "50", "--duration", "0.5", *files]) == 0
