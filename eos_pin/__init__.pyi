@@ -95,6 +95,7 @@ from .tasks import RelativePositionTask as RelativePositionTask
 from .tasks import StackedTask as StackedTask
 from .tasks import Task as Task
 from .tasks import TaskPoint as TaskPoint
+from .tasks import ToleranceTask as ToleranceTask
 from .tasks import task_from_description as task_from_description
 from .trajectories import Geodesic as Geodesic
 from .trajectories import Harmonic as Harmonic

@@ -180,6 +180,9 @@ def every_task(robot):
             tasks["pose"] = eos_pin.PoseTask(robot, end)
             base = robot.model.frames[1].name
             tasks["relative pose"] = eos_pin.RelativePoseTask(robot, end, base)
+            pose, point_axis = tasks["pose"], eos_pin.PointAxisTask(robot, end, "y")
+            tasks["tolerance of a pose"] = eos_pin.ToleranceTask(pose, {"rz": 0.2, "x": 0.01})
+            tasks["cone"] = eos_pin.ToleranceTask(point_axis, {"cone": 0.26})
             tasks["point axis"] = eos_pin.PointAxisTask(robot, end, (1.0, 2.0, -0.5))
         if robot.n > 6:
             stacked["position+com"] = ["position xyz", "com xyz"]

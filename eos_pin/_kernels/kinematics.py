@@ -109,7 +109,7 @@ class Kinematics:
 
     def residual(self, Q: Array, Z: Array) -> Float[Array, " K"]:
         """Largest entry of each state's task error, as the task itself has it [m, rad]."""
-        return np.abs(self._plain.minus(self._plain.value(Q), np.atleast_2d(Z))).max(axis=1, initial=0.0)
+        return np.abs(self._plain.minus(self._plain.value(Q), self._points(Z))).max(axis=1, initial=0.0)
 
     def project(
         self,

@@ -132,6 +132,20 @@ def _smaller_capsule(capsule: Capsule, distance: float) -> Capsule:
     return replace(capsule, radius=max(capsule.radius - distance, 0.0))
 
 
+def advice(bars: Sequence[Bar]) -> str:
+    """Change that would help against the most frequent causes, in words."""
+    reasons = " ".join(bar.reason for bar in bars[:2])
+    if "too close" in reasons:
+        return "More distance from that body would help, or another path"
+    if "tolerance" in reasons:
+        return "A wider tolerance would help, or another placement of the path"
+    if "limit" in reasons:
+        return "More range of that joint, less margin or another placement of the path would help"
+    if "reach" in reasons:
+        return "Move the path towards the robot, or away from the singularity"
+    return "Closer way points, another placement of the path, or reconfigurations would help"
+
+
 def components_at(problem: Problem, z: Array) -> str:
     """Number of components at a task point and the causes that end their arcs, in words; empty without such."""
     if problem.r != 1:

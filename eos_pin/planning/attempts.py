@@ -11,7 +11,7 @@ import numpy as np
 
 from eos_pin._arrays import Array
 from eos_pin.errors import PlanError
-from eos_pin.planning.advice import Change, Deadline, changes_for, components_at, tried
+from eos_pin.planning.advice import Change, Deadline, advice, changes_for, components_at, tried
 from eos_pin.planning.courses import Mended, broken_at, mended, prolonged
 from eos_pin.planning.grid import Grid
 from eos_pin.planning.problem import Problem, told
@@ -111,6 +111,17 @@ class Search:
         if self.step is not None:
             self.step = 0.5 * np.repeat(self.step, 2, axis=0)[: len(grid.Z)]
 
+    def _within_bands(self) -> bool:
+        """Refine a motion that needs no tolerance, where there is a tolerance and such a motion."""
+        whole, ends = self.problem.whole, (self.start, self.end)
+        if whole is None or self.reconfigurations:
+            return False
+        problem = replace(self.problem, manifold=whole)
+        q = Search(problem, self.grid, self.step, ends, False, self.seed, self.progress, self.most).run(1)
+        if q is not None:
+            self._take([q], self.course, np.arange(len(q)), False)
+        return self.best is not None
+
     def begin_from(self, guess: Array) -> None:
         """Keep a motion near joints at the way points, (K, n), where there is one."""
         grid, problem = self.grid, self.problem
@@ -127,6 +138,8 @@ class Search:
     def run(self, effort: int) -> Array | None:
         """Joints at the points of the path, or None."""
         if self.best is not None:
+            return self.best
+        if self._within_bands():
             return self.best
         strides = (WHOLE * self.grid.stride, self.grid.stride)
         attempts = self._attempts(effort)
@@ -270,7 +283,7 @@ class Search:
             if failure.layer < 0:
                 return PlanError(
                     f"no joints at {grid.called(0)}, where the path begins: {told(failure.bars)}, of 400 postures "
-                    f"that were tried without limits{twice}. {helps or self._advice(failure)}",
+                    f"that were tried without limits{twice}. {helps or advice(failure.bars)}",
                     0,
                     0.0,
                 )
@@ -286,7 +299,7 @@ class Search:
             return PlanError(
                 f"no motion from {grid.called(row)} to {grid.called(following)} ({reached:.0%} of the path was "
                 f"reached): of {failure.reached} postures reached none goes on ({bars}); {other}"
-                f"{'; ' * bool(components)}{components}{twice}. {helps or self._advice(failure)}",
+                f"{'; ' * bool(components)}{components}{twice}. {helps or advice(failure.bars)}",
                 grid.waypoint(row),
                 reached,
             )
@@ -311,16 +324,6 @@ class Search:
         if helpful:
             return f"With {helpful[0]} there is one" + (f", not yet with {' or '.join(useless)}" if useless else "")
         return f"No quick search found one with {' or '.join(useless)} either" if useless else ""
-
-    def _advice(self, failure: Failure) -> str:
-        reasons = " ".join(bar.reason for bar in failure.bars[:2])
-        if "too close" in reasons:
-            return "More distance from that body would help, or another path"
-        if "limit" in reasons:
-            return "More range of that joint, less margin or another placement of the path would help"
-        if "reach" in reasons:
-            return "Move the path towards the robot, or away from the singularity"
-        return "Closer way points, another placement of the path, or reconfigurations would help"
 
 
 def _same(a: Array, b: Array) -> bool:

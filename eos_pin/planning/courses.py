@@ -93,6 +93,8 @@ class Penalty(Barrier):
         course = self.course
         beyond, close, _ = self._broken(q)
         total = self.share * course.cost(q) + float((beyond**2).sum()) + float((close**2).sum())
+        over = np.maximum(np.square(course.problem.used(q.T, course.Z.T)).sum(axis=2) - WITHIN**2, 0.0)
+        total += float((over**2).sum())
         if course.step is not None:
             step = course.motion(q)
             over = np.maximum(np.abs(step) / course.step[: len(step)] - WITHIN, 0.0)
@@ -117,6 +119,12 @@ class Penalty(Barrier):
                 slope[:, rows, i] = (ahead - here[:, rows]) / (SMALL * NEAR)
             gx -= 2.0 * np.einsum("pk,pkr->kr", close, slope)
             hx += 2.0 * np.einsum("pk,pkr,pks->krs", (close > 0.0).astype(float), slope, slope)
+        if problem.bands is not None:
+            used, slope = self._bands(q, V)
+            over = np.maximum(np.square(used).sum(axis=2) - WITHIN**2, 0.0)
+            along = 2.0 * np.einsum("kbd,kbdr->kbr", used, slope)
+            gx += 2.0 * np.einsum("kb,kbr->kr", over, along)
+            hx += 2.0 * np.einsum("kb,kbr,kbs->krs", (over > 0.0).astype(float), along, along)
         if problem.posture_cost is not None:
             more = np.zeros_like(gx), np.zeros_like(hx)
             self._posture(q, V, *more)
@@ -150,6 +158,10 @@ def _broken(course: Course, q: Array) -> tuple[str, int]:
             pair, row = np.unravel_index(int(pairs.argmin()), pairs.shape)
             a, b = problem.clearances.names[int(pair)]
             return f"{a!r} is {pairs[pair, row]:.3g} m from {b!r}", int(row)
+    used = np.sqrt(np.square(problem.used(q.T, course.Z.T)).sum(axis=2))
+    if problem.bands is not None and (used > 1.0).any():
+        row, band = np.unravel_index(int(used.argmax()), used.shape)
+        return f"{used[row, band]:.3g} times the tolerance {problem.bands.bands[int(band)]} would be used", int(row)
     if course.step is not None:
         step = course.motion(q)
         part = np.abs(step) / course.step[: len(step)]

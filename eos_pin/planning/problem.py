@@ -26,6 +26,10 @@ from eos_pin.planning.obstacles.bodies import Bodies, Clearances
 from eos_pin.planning.obstacles.scene import Scene
 from eos_pin.tasks.base import Task
 from eos_pin.tasks.batch import Manifold
+from eos_pin.tasks.tolerance import ToleranceTask
+
+#: Part of a band that is planned with: between points of the path the rest is used.
+BANDS = 0.98
 
 
 class Bar(NamedTuple):
@@ -68,6 +72,17 @@ class Problem:
     weights: Array
     posture_cost: PostureCost | None = None
 
+    @cached_property
+    def bands(self) -> ToleranceTask | None:
+        """The task, if it has bands to be kept."""
+        task = self.manifold.task
+        return task if isinstance(task, ToleranceTask) else None
+
+    @cached_property
+    def whole(self) -> Manifold | None:
+        """Manifolds of the task without its tolerance."""
+        return Manifold(self.bands.whole) if self.bands is not None else None
+
     @property
     def r(self) -> int:
         """Degree of redundancy."""
@@ -96,9 +111,17 @@ class Problem:
         """Whether postures are within the limits."""
         return np.logical_and(self.lower[:, None] <= Q, self.upper[:, None] >= Q).all(axis=0).reshape(-1)
 
-    def allowed(self, Q: Float[Array, "n K"]) -> Bool[Array, " K"]:
-        """Whether postures are within the limits and clear of everything."""
+    def used(self, Q: Float[Array, "n K"], Z: Float[Array, "size #K"]) -> Float[Array, "K B 2"]:
+        """Parts of the bands that postures use at task points, `BANDS` of their widths counting as all of them."""
+        if self.bands is None:
+            return np.empty((Q.shape[1], 0, 2))
+        return self.bands.used(self.bands.whole.kinematics.value(Q.T), Z.T) / BANDS
+
+    def allowed(self, Q: Float[Array, "n K"], Z: Float[Array, "size #K"]) -> Bool[Array, " K"]:
+        """Whether postures are within the limits, in the bands about task points, and clear of everything."""
         allowed = self.inside(Q)
+        if self.bands is not None:
+            allowed &= (np.square(self.used(Q, Z)).sum(axis=2) <= 1.0).all(axis=1)
         if self.clearances is not None and len(self.clearances) and allowed.any():
             allowed[allowed] = self.clearances(Q[:, allowed]) >= self.gap
         return allowed
@@ -110,8 +133,12 @@ class Problem:
 
     def solutions(self, Z: Float[Array, "size #K"], random: np.random.Generator) -> tuple[Array, Array]:
         """Postures at task points, searched for from random ones, and whether each was found and is allowed."""
-        Q, found = self.manifold.search(self.random(random, Z.shape[1]), Z, (self.lower, self.upper))
-        found[found] = self.allowed(Q[:, found])
+        Q = self.random(random, Z.shape[1])
+        if self.whole is not None:
+            # From postures at the target itself: random ones are rarely within bands.
+            Q, _ = self.whole.search(Q, Z, (self.lower, self.upper))
+        Q, found = self.manifold.search(Q, Z, (self.lower, self.upper))
+        found[found] = self.allowed(Q[:, found], Z[:, found])
         return Q, found
 
     def cost(self, Q: Float[Array, "n K"]) -> Float[Array, " K"]:
@@ -120,8 +147,8 @@ class Problem:
             return np.zeros(Q.shape[1])
         return np.asarray(self.posture_cost(Q.T), dtype=float)
 
-    def bars(self, Q: Float[Array, "n K"], found: Bool[Array, " K"]) -> list[Bar]:
-        """Causes that exclude postures, most frequent first: no solution, a joint's limit, or a pair too close."""
+    def bars(self, Q: Float[Array, "n K"], found: Bool[Array, " K"], z: Array) -> list[Bar]:
+        """Causes that exclude postures at a task point, most frequent first: none found, limits, bands, distances."""
         robot, bars = self.manifold.robot, list[Bar]()
 
         def note(reason: str, count: int, joint: int | None = None, below: bool = False, solid: str = "") -> None:
@@ -136,6 +163,12 @@ class Problem:
             note(f"the lower limit of {joint.name!r}", int(((first == j) & below[j]).sum()), j, True)
             note(f"the upper limit of {joint.name!r}", int(((first == j) & ~below[j]).sum()), j)
         Q = Q[:, first < 0]
+        if self.bands is not None:
+            over = np.square(self.used(Q, z[:, None])).sum(axis=2) > 1.0
+            first = np.where(over.any(axis=1), over.argmax(axis=1), -1)
+            for i, name in enumerate(self.bands.bands):
+                note(f"the tolerance {name}", int((first == i).sum()))
+            Q = Q[:, first < 0]
         if self.clearances is not None and len(self.clearances) and Q.shape[1]:
             distances = self.clearances.pairs(Q)
             worst = distances.argmin(axis=0)[distances.min(axis=0) < self.gap]

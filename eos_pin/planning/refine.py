@@ -76,7 +76,7 @@ class Course:
 
     def kept(self, q: Float[Array, "L n"]) -> bool:
         """Whether limits, distances and bounds of steps are kept."""
-        if not self.problem.allowed(q.T).all():
+        if not self.problem.allowed(q.T, self.Z.T).all():
             return False
         return self.step is None or bool((np.abs(self.motion(q)) <= self.step[: len(q) if self.closed else -1]).all())
 
@@ -198,6 +198,10 @@ class Barrier:
                 return np.inf
             part = np.where(np.isfinite(room), room / self._span, 1.0)
             total -= self.weight * float(np.log(np.maximum(4.0 * part, 1e-9))[part < 0.25].sum())
+        used = np.square(problem.used(q.T, course.Z.T)).sum(axis=2)
+        if (used >= 1.0).any():
+            return np.inf
+        total -= self.weight * float(np.log1p(-used).sum())
         if course.step is not None:
             step = course.motion(q)
             room = 1.0 - (step / course.step[: len(step)]) ** 2
@@ -227,6 +231,13 @@ class Barrier:
             h += self.weight * inverse**2
         L, _, r = V.shape
         gx, hx = np.zeros((L, r)), np.zeros((L, r, r))
+        if problem.bands is not None:
+            used, slope = self._bands(q, V)
+            inverse = 1.0 / np.maximum(1.0 - np.square(used).sum(axis=2), 1e-9)
+            along = 2.0 * np.einsum("kbd,kbdr->kbr", used, slope)
+            gx += self.weight * np.einsum("kb,kbr->kr", inverse, along)
+            hx += self.weight * np.einsum("kb,kbr,kbs->krs", inverse**2, along, along)
+            hx += self.weight * 2.0 * np.einsum("kb,kbdr,kbds->krs", inverse, slope, slope)
         if problem.clearances is not None and len(problem.clearances):
             here = problem.clearances.pairs(q.T)
             room = here - problem.gap
@@ -242,6 +253,13 @@ class Barrier:
         if problem.posture_cost is not None:
             self._posture(q, V, gx, hx)
         return g, h, gx, hx
+
+    def _bands(self, q: Array, V: Array) -> tuple[Array, Array]:
+        """Parts of the bands that are used, (L, B, 2), and their slopes along V, (L, B, 2, r)."""
+        problem, Z = self.course.problem, self.course.Z.T
+        here = problem.used(q.T, Z)
+        ahead = [problem.used((q + SMALL * V[:, :, i]).T, Z) for i in range(V.shape[2])]
+        return here, (np.stack(ahead, axis=3) - here[:, :, :, None]) / SMALL
 
     def _posture(self, q: Array, V: Array, gx: Array, hx: Array) -> None:
         """Slope of the cost of postures, and of its curvature the positive part along each coordinate."""

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from eos_pin._arrays import Array
 from eos_pin.planning.grid import Grid
 from eos_pin.planning.plans import Plan
-from eos_pin.planning.problem import Problem
+from eos_pin.planning.problem import BANDS, Problem
 from eos_pin.tasks.base import Task
 from eos_pin.trajectories.through import sampled
 
@@ -71,6 +71,11 @@ def figures(
         "seed": seed,
         "seconds": seconds,
     }
+    if problem.bands is not None:
+        used = BANDS * np.sqrt(np.square(problem.used(dense.T, z.T)).sum(axis=2)).max(axis=0)
+        info["tolerance_used"] = dict(zip(problem.bands.bands, used.tolist(), strict=True))
+        if used.max() > 1.0:
+            info["message"] = f"between way points {used.max():.4g} times a tolerance is used"
     if problem.clearances is not None and len(problem.clearances):
         info["clearance_min"] = float(problem.clearances(at_marks.T).min())
         info["clearance_between_min"] = float(problem.clearances(dense.T).min())

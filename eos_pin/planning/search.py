@@ -113,7 +113,7 @@ class Layers:
         moved, found = problem.manifold.project(moved, z[:, None], iterations=8)
         found &= (np.abs(moved - chosen) / problem.scale[:, None]).max(axis=0) < 2.0 * size
         moved = moved[:, found]
-        return moved[:, problem.allowed(moved)]
+        return moved[:, problem.allowed(moved, z[:, None])]
 
     def _thinned(self, Q: Array, count: int) -> Array:
         """At most `count` postures that lie apart, those that come first before others."""
@@ -198,7 +198,7 @@ class Layers:
     def _candidates(self, old: Array, live: Array, there: Array, found: Array, k: int, layer: int) -> Array:
         problem = self.problem
         z, on = self.Z[layer], there[:, found]
-        good = on[:, problem.allowed(on)]
+        good = on[:, problem.allowed(on, z[:, None])]
         more = []
         if self.step is None:
             # Continuations beyond the limits come back along the manifold where it leads back.
@@ -207,7 +207,7 @@ class Layers:
                 back, ok = problem.manifold.search(out, z[:, None], (problem.lower, problem.upper), iterations=15)
                 ok &= (np.abs(back - out) / problem.scale[:, None]).max(axis=0) < STRIDE
                 back = back[:, ok]
-                good = np.hstack((good, back[:, problem.allowed(back)]))
+                good = np.hstack((good, back[:, problem.allowed(back, z[:, None])]))
             more.append(self._spread(good, z, 2 * self.count, 0.5))
             if good.shape[1] < 0.3 * self.count:
                 more.append(self._spread(on[:, problem.inside(on)], z, 2 * self.count, 0.5))
@@ -243,7 +243,7 @@ class Layers:
         moved = moved[:, problem.inside(moved)]
         moved, found = problem.manifold.project(moved, z[:, None], iterations=6)
         moved = moved[:, found]
-        return moved[:, problem.allowed(moved)]
+        return moved[:, problem.allowed(moved, z[:, None])]
 
     # -- steps -------------------------------------------------------------------------------------------------------
 
@@ -288,7 +288,7 @@ class Layers:
 
     def _failure(self, k: int, live: Array, there: Array, found: Array) -> Failure:
         following = (k + 1) % len(self.Z)
-        bars = self.problem.bars(there, found) if live.shape[1] else []
+        bars = self.problem.bars(there, found, self.Z[following]) if live.shape[1] else []
         _, ok = self.problem.solutions(np.repeat(self.Z[following][:, None], 4 * self.count, axis=1), self._random)
         return Failure(k, live.shape[1], bars, int(ok.sum()))
 
@@ -299,7 +299,7 @@ class Layers:
         Q, found = problem.manifold.project(problem.random(self._random, 400), Z, iterations=30)
         turn = np.array([0.0 if joint.kind == "prismatic" else 2.0 * np.pi for joint in problem.manifold.robot.joints])
         turned = Q - turn[:, None] * np.round(Q / np.where(turn, turn, 1.0)[:, None])
-        return problem.bars(turned, found)
+        return problem.bars(turned, found, self.Z[layer])
 
     # -- the best ways through -----------------------------------------------------------------------------------------
 
@@ -329,5 +329,5 @@ def connected(
     scale = problem.scale[:, None]
     apart, off = (np.abs(x / scale).max(axis=0) for x in (a - b, on - middle))
     found &= off < 0.35 * apart
-    found[found] = problem.allowed(home(on[:, found]))
+    found[found] = problem.allowed(home(on[:, found]), z[:, None])
     return found

@@ -116,7 +116,7 @@ class WholeLayers:
                     drawn = drawn[:, ~near]
                 Q = self._whole(kinematics, self._home(drawn), z)
                 carried = Q[:, ::CARRIED]
-                Q = Q[:, problem.allowed(Q)]
+                Q = Q[:, problem.allowed(Q, z[:, None])]
                 if lap:
                     out[k] = np.hstack((out[k], Q))
                 else:

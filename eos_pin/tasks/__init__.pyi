@@ -14,3 +14,4 @@ from .relations import DistanceTask as DistanceTask
 from .relations import RelativePoseTask as RelativePoseTask
 from .stacked import StackedTask as StackedTask
 from .stacked import task_from_description as task_from_description
+from .tolerance import ToleranceTask as ToleranceTask

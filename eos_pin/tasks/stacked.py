@@ -135,6 +135,10 @@ def task_from_description(robot: Robot, description: Mapping[str, Any]) -> Task:
     try:
         if kind == StackedTask.kind:
             return StackedTask([task_from_description(robot, part) for part in words["tasks"]])
+        if "whole" in words:
+            within: Any = KINDS[kind]
+            task: Task = within(task_from_description(robot, words["whole"]), words["tolerance"])
+            return task
         return KINDS[kind](robot, **words)
     except UnknownNameError:
         raise

@@ -22,6 +22,7 @@ from eos_pin.tasks.extent import check_reach
 from eos_pin.tasks.orientation import HeadingTask, OrientationTask, PoseTask
 from eos_pin.tasks.relations import RelativePoseTask
 from eos_pin.tasks.stacked import StackedTask
+from eos_pin.tasks.tolerance import ToleranceTask
 from eos_pin.trajectories.base import Hold, Target, Trajectory
 from eos_pin.trajectories.harmonic import Harmonic, circle, figure_eight, line
 from eos_pin.trajectories.stacked import StackedTrajectory
@@ -125,6 +126,8 @@ class WaypointPath(Trajectory):
             rates[0].append(dp)
             rates[1].append(ddp)
         dz, ddz = (np.concatenate(rate, axis=1) for rate in rates)
+        if isinstance(self.task, ToleranceTask):
+            dz, ddz = self.task.rates(z, dz, ddz)
         if not self.closed:
             resting = (t < self.times[0]) | (t > self.times[-1])
             dz[resting], ddz[resting] = 0.0, 0.0
@@ -137,6 +140,8 @@ class WaypointPath(Trajectory):
 
 def channels(task: Task) -> list[tuple[slice, Kind]]:
     """Parts of a task point: where each is, and its kind."""
+    if isinstance(task, ToleranceTask):
+        return channels(task.whole)
     if isinstance(task, StackedTask):
         found: list[tuple[slice, Kind]] = []
         first = 0
@@ -179,7 +184,8 @@ def waypoint_path(
             z.append(task.point(point))
         except InputError as error:
             raise InputError(f"{names[k]}: {error}") from error
-    steps = np.array([task.minus(b, a) for a, b in pairwise(z)])
+    whole = task.whole if isinstance(task, ToleranceTask) else task
+    steps = np.array([whole.minus(b, a) for a, b in pairwise(z)])
     gaps = _lengths(steps)
     middle = float(np.median(gaps))
     for k in np.flatnonzero(gaps < 1e-9 + 1e-6 * middle).tolist():
@@ -194,7 +200,7 @@ def waypoint_path(
             f"further than others ({middle:.3g}); add way points between them, or plan two paths"
         )
     if closed:
-        gap = float(_lengths(task.minus(z[0], z[-1])[None])[0])
+        gap = float(_lengths(whole.minus(z[0], z[-1])[None])[0])
         if gap > max(1.5 * float(gaps.max()), SAME):
             raise InputError(
                 f"the path is to be closed, but its last way point is {gap:.3g} m or rad away from its first, and its "

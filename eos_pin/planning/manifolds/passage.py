@@ -56,7 +56,7 @@ def passage(problem: Problem, z: Vector, start: JointVector, end: JointVector, s
         seed: Seed of the trees.
     """
     for q, name in ((start, "first"), (end, "last")):
-        if not problem.allowed(q[:, None])[0]:
+        if not problem.allowed(q[:, None], z[:, None])[0]:
             return Passage(None, f"the {name} posture is not within the limits and clear")
     if problem.r == 1:
         return _along(problem, z, start, end)
@@ -76,11 +76,11 @@ def _along(problem: Problem, z: Vector, start: JointVector, end: JointVector) ->
     except SingularError:
         return Passage(None, "the task is singular at the first posture")
     arcs = arcs_within(component, 0, problem.lower, problem.upper)
-    if problem.clearances is not None:
+    if problem.clearances is not None or problem.bands is not None:
         arcs = [
             piece
             for arc in arcs
-            for piece in clear_arcs(component, arc, lambda q: not bool(problem.allowed(q[:, None])[0]))
+            for piece in clear_arcs(component, arc, lambda q: not bool(problem.allowed(q[:, None], z[:, None])[0]))
         ]
     own = next(((arc, s) for arc in arcs if (s := _place(component, arc, start)) is not None), None)
     if own is None:
@@ -234,7 +234,7 @@ class _Trees:
         # What hardly moves is at its end, and what moves far has jumped.
         good &= (moved < 2.0 * STEP) & ((moved > 0.2 * STEP) | arrived)
         arrived &= np.abs(new - goals).max(axis=0) < SAME
-        good[good] = self.problem.allowed(new[:, good])
+        good[good] = self.problem.allowed(new[:, good], self.z[:, None])
         good[good] = connected(self.problem, Q[:, good], new[:, good], self.z)
         return new, good, arrived
 
@@ -267,7 +267,7 @@ class _Trees:
         count = max(2, math.ceil(float(np.abs((b - a) / self.problem.scale).max()) / SPACING) + 1)
         line = a[:, None] + np.linspace(0.0, 1.0, count) * (b - a)[:, None]
         on, found = self.problem.manifold.project(line, self.z[:, None], iterations=8)
-        if not found.all() or not self.problem.allowed(on).all():
+        if not found.all() or not self.problem.allowed(on, self.z[:, None]).all():
             return None
         on[:, 0], on[:, -1] = a, b
         step = np.abs(np.diff(on, axis=1) / self.problem.scale[:, None]).max(axis=0)

@@ -1,0 +1,262 @@
+"""Weld-like curves, planned and driven: `python benchmarks/welds.py plans|roll [--write] …`; each has `--help`.
+
+Ten seeded closed curves of 600 points on curved surfaces, the tool along the normal, on arms of six and seven joints.
+
+* `plans`: planned with the roll of the tool free and with the roll fixed: how many were planned, how often the joints
+  jump, how far they move, how long it takes. Where no continuous motion is found, jumps are allowed. What is checked is
+  the joints at the way points, by Pinocchio alone.
+* `roll`: the plans with the roll free under EOS torque control, from the plan and from 0.05 rad beside it along the
+  self-motion: whether the task is followed, the roll obeys the law that it was given, and the joints repeat.
+
+`--write` puts the tables into docs/planning.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from eos_pin import (
+    Chart,
+    EosController,
+    FollowPlan,
+    Plan,
+    PointAxisTask,
+    PoseTask,
+    ToleranceTask,
+    Tool,
+    load_robot,
+    plan,
+    simulate,
+)
+from eos_pin.errors import EosError
+from eos_pin.robot.model import Robot
+from eos_pin.tasks.base import Task
+
+#: Arms and the frame that holds the torch.
+ARMS = {"ur5": "tool0", "panda": "panda_hand", "kinova": "j2s6s200_end_effector"}
+#: Tip of the torch in that frame [m], and the angle by which it is bent, so that no joint turns it about its own axis.
+TIP, BENT = (0.08, 0.0, 0.15), np.radians(35.0)
+#: Part of a robot's reach that the curves are made for.
+REACH = 0.7
+#: Ways to plan: in words.
+MODES = {"free": "free", "cone": "free, axis within 15°", "fixed": "fixed"}
+CONE = float(np.radians(15.0))
+#: Largest errors at way points that are accepted [m, rad].
+ACCEPTED = 1e-8
+#: Start beside the plan [rad], rounds, and gains of the roll's law.
+BESIDE, ROUNDS, KP, KD = 0.05, 2, 100.0, 20.0
+DOCUMENT = Path(__file__).parent.parent / "docs" / "planning.md"
+
+
+def weld(seed: int, reach: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a closed curve on a curved surface, and the surface's normals there, (count, 3) each."""
+    random = np.random.default_rng(seed)
+    centre = reach * np.array([random.uniform(0.45, 0.55), random.uniform(-0.2, 0.2), random.uniform(0.05, 0.25)])
+    s = 2.0 * np.pi * np.arange(count) / count
+    waves = [(k, random.normal(scale=0.2 / k), random.uniform(0.0, 2.0 * np.pi)) for k in (2, 3, 4)]
+    radius = reach * random.uniform(0.15, 0.22) * (1.0 + sum(a * np.cos(k * s + p) for k, a, p in waves))
+    xy = np.column_stack((radius * np.cos(s), radius * np.sin(s)))
+    height, slope = np.zeros(count), np.zeros((count, 2))
+    for _ in range(3):
+        w, phase = random.normal(size=2) * 4.0 / reach, random.uniform(0.0, 2.0 * np.pi)
+        size = reach * random.uniform(0.02, 0.06)
+        height += size * np.sin(xy @ w + phase)
+        slope += size * np.cos(xy @ w + phase)[:, None] * w
+    normals = np.column_stack((-slope, np.ones(count)))
+    return centre + np.column_stack((xy, height)), normals / np.linalg.norm(normals, axis=1)[:, None]
+
+
+def way_points(mode: str, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Task points of a curve, its first once more at the end; with the roll fixed, x is near the world's."""
+    z = -normals
+    if mode != "fixed":
+        rows = np.hstack((points, z))
+    else:
+        x = np.array([1.0, 0.0, 0.0]) - z[:, :1] * z
+        x /= np.linalg.norm(x, axis=1)[:, None]
+        rotations = np.stack((x, np.cross(z, x), z), axis=2)
+        rows = np.hstack((points, rotations.reshape(-1, 9)))
+    return np.concatenate((rows, rows[:1]))
+
+
+def arm(name: str) -> Robot:
+    """An arm with its torch, a frame whose z axis is the torch's."""
+    placement = pin.SE3(pin.exp3(np.array([0.0, BENT, 0.0])), np.array(TIP))
+    return load_robot(name, chain_to="torch", tool=Tool(ARMS[name], placement, "torch"))
+
+
+def task_of(mode: str, robot: Robot) -> Task:
+    """The task of a way to plan."""
+    if mode == "fixed":
+        return PoseTask(robot, "torch")
+    free = PointAxisTask(robot, "torch")
+    return ToleranceTask(free, {"cone": CONE}) if mode == "cone" else free
+
+
+def planned(mode: str, robot: Robot, seed: int, count: int) -> dict[str, Any]:
+    """One curve, planned and checked."""
+    points, normals = weld(seed, REACH * robot.reach, count)
+    rows, task = way_points(mode, points, normals), task_of(mode, robot)
+    began = time.process_time()
+    found: Plan | None = None
+    message = ""
+    for jumps in (False, True):
+        try:
+            found = plan(task, rows, closed=not jumps, reconfigurations=jumps)
+            break
+        except EosError as error:
+            message = str(error)
+    row: dict[str, Any] = {"robot": robot.name, "mode": mode, "seed": seed, "seconds": time.process_time() - began}
+    if found is None:
+        return row | {"planned": False, "message": message}
+    q = found.at_waypoints()
+    motion = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    motion[[int(np.searchsorted(found.path.times, t)) - 1 for t in found.jump_times]] = 0.0  # type: ignore[attr-defined]
+    return (
+        row
+        | {"planned": True, "jumps": len(found.jumps), "motion": float(motion.sum())}
+        | checked(mode, robot, rows, q)
+    )
+
+
+def checked(mode: str, robot: Robot, rows: np.ndarray, q: np.ndarray) -> dict[str, Any]:
+    """Check of joints by Pinocchio alone: errors of place and direction, limits, and whether the joints repeat."""
+    data, number = robot.model.createData(), robot.model.getFrameId("torch")
+    place, turn, tilt = 0.0, 0.0, 0.0
+    for z, joints in zip(rows, q, strict=True):
+        pin.framesForwardKinematics(robot.model, data, joints)
+        pose = data.oMf[number]
+        place = max(place, float(np.abs(pose.translation - z[:3]).max()))
+        if mode == "cone":
+            tilt = max(tilt, float(np.arccos(min(1.0, pose.rotation[:, 2] @ z[3:]))))
+        elif mode == "free":
+            turn = max(turn, float(np.linalg.norm(pose.rotation[:, 2] - z[3:])))
+        else:
+            turn = max(turn, float(np.linalg.norm(pin.log3(pose.rotation.T @ z[3:].reshape(3, 3)))))
+    inside = bool(((q >= robot.lower) & (q <= robot.upper)).all())
+    accepted = inside and max(place, turn) <= ACCEPTED and tilt <= CONE
+    return {"error": max(place, turn), "tilt": tilt, "inside": inside, "accepted": accepted}
+
+
+def plans(options: argparse.Namespace) -> int:
+    """Plans of all curves on all arms."""
+    rows = []
+    for name in options.robots.split(","):
+        robot = arm(name)
+        for mode in options.modes.split(","):
+            for seed in range(options.count):
+                rows.append(planned(mode, robot, seed, options.points))
+                print(json.dumps(rows[-1]), flush=True)
+                if options.json:
+                    options.json.write_text(json.dumps(rows, indent=1) + "\n")
+    lines = [
+        "| arm | roll | planned | jumps | joint motion [rad] | CPU time [s] | longest [s] |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, mode in dict.fromkeys((row["robot"], row["mode"]) for row in rows):
+        mine = [row for row in rows if (row["robot"], row["mode"]) == (name, mode)]
+        good = [row for row in mine if row["planned"]]
+        times = [row["seconds"] for row in mine]
+        motion = f"{np.median([row['motion'] for row in good]):.2f}" if good else ""
+        lines.append(
+            f"| {name} | {MODES[mode]} | {len(good)} of {len(mine)} | {sum(row['jumps'] for row in good)} | {motion} "
+            f"| {np.median(times):.2f} | {max(times):.2f} |"
+        )
+    shown("plans", lines, options.write)
+    return 0 if all(row.get("accepted", True) for row in rows) else 1
+
+
+def driven(robot: Robot, seed: int, count: int) -> dict[str, Any]:
+    """One curve under torque control: two rounds from the plan, and a second from beside it."""
+    task = task_of("free", robot)
+    found = plan(task, way_points("free", *weld(seed, REACH * robot.reach, count)), closed=True)
+    law = FollowPlan(found, robot, kp=KP, kd=KD)
+    controller = EosController(task, law.path, law)
+    start, target = found(found.start), law.path(found.start)
+    on = simulate(robot, controller, start.q, dq=start.dq, duration=ROUNDS * found.period, rtol=1e-7, atol=1e-9)
+    # Beside it, the task goes on as it should and v has the plan's rate.
+    chart = Chart.from_base(task, start.q)
+    aside = task.kinematics.project((start.q + BESIDE * chart.V[:, 0])[None], target.z).q[0]
+    chart = Chart.from_base(task, aside)
+    dq = chart.acceleration(task.linearize(aside)[1], target.dz, chart.dv(start.dq))
+    off = simulate(robot, controller, aside, dq=dq, duration=1.0, record_rate=100.0, rtol=1e-10, atol=1e-12)
+    left = off.t < (off.switches[0] if len(off.switches) else np.inf)
+    error = np.array([chart.dv(q - found(t).q)[0] for t, q in zip(off.t[left], off.q[left], strict=True)])
+    decay = np.sqrt(KP) * off.t[left]
+    wrong = np.abs(error - error[0] * (1.0 + decay) * np.exp(-decay))
+    return {
+        "robot": robot.name, "seed": seed, "task_error": float(max(np.abs(on.error).max(), np.abs(off.error).max())),
+        "law_error": float(wrong.max()), "law_time": float(off.t[left][-1]), "beside": float(abs(error[0])),
+        "drift": float(np.max(on.joint_drift_per_cycle)), "switches": len(on.switches),
+        "rounds": len(on.joint_drift_per_cycle),
+    }  # fmt: skip
+
+
+def roll(options: argparse.Namespace) -> int:
+    """Torque control of the roll."""
+    rows = []
+    for name in options.robots.split(","):
+        robot = arm(name)
+        for seed in range(options.count):
+            rows.append(driven(robot, seed, options.points))
+            print(json.dumps(rows[-1]), flush=True)
+            if options.json:
+                options.json.write_text(json.dumps(rows, indent=1) + "\n")
+    lines = [
+        "| arm | curves | task error [m, rad] | roll beside its law [rad] | joints after a round [rad] | charts |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name in dict.fromkeys(row["robot"] for row in rows):
+        mine = [row for row in rows if row["robot"] == name]
+        worst = {key: max(row[key] for row in mine) for key in ("task_error", "law_error", "drift")}
+        charts = [row["switches"] + 1 for row in mine]
+        lines.append(
+            f"| {name} | {len(mine)} | {worst['task_error']:.1e} | {worst['law_error']:.1e} "
+            f"| {worst['drift']:.1e} | {min(charts)} to {max(charts)} |"
+        )
+    shown("roll", lines, options.write)
+    return 0 if all(row["rounds"] == ROUNDS and row["task_error"] <= 1e-6 for row in rows) else 1
+
+
+def shown(name: str, lines: list[str], write: bool) -> None:
+    """Print a table, and put it into the document between its marks."""
+    print("\n".join(lines))
+    if write:
+        text = DOCUMENT.read_text(encoding="utf-8")
+        place = re.compile(f"(<!-- welds.py {name} -->\n).*?(<!-- end -->)", re.DOTALL)
+        DOCUMENT.write_text(
+            place.sub(lambda found: found[1] + "\n".join(lines) + "\n" + found[2], text), encoding="utf-8"
+        )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True)
+    one = commands.add_parser("plans")
+    one.add_argument("--robots", default=",".join(ARMS))
+    one.add_argument("--modes", default=",".join(MODES))
+    two = commands.add_parser("roll")
+    two.add_argument("--robots", default="ur5")
+    for command, function in ((one, plans), (two, roll)):
+        command.add_argument("--count", type=int, default=10)
+        command.add_argument("--points", type=int, default=600)
+        command.add_argument("--json", type=Path)
+        command.add_argument("--write", action="store_true")
+        command.set_defaults(run=function)
+    options = parser.parse_args()
+    run: Callable[[argparse.Namespace], int] = options.run
+    return run(options)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

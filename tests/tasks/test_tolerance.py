@@ -1,0 +1,156 @@
+"""Tolerances: what bands measure, what is tracked, plans within bands, and combinations that are refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from eos_pin import (
+    AxisTask,
+    EosController,
+    FollowPlan,
+    InputError,
+    OrientationTask,
+    PlanError,
+    PointAxisTask,
+    PoseTask,
+    PositionTask,
+    ToleranceTask,
+    Tool,
+    load_robot,
+    plan,
+    simulate,
+    task_from_description,
+)
+from eos_pin.trajectories.through import waypoint_path
+
+
+@pytest.fixture(scope="module")
+def torch():
+    """A UR5 with a bent torch, so that no joint turns it about its own axis."""
+    placement = pin.SE3(pin.exp3(np.array([0.0, 0.6, 0.0])), np.array([0.08, 0.0, 0.15]))
+    return load_robot("ur5", chain_to="torch", tool=Tool("tool0", placement, "torch"))
+
+
+def flat(pose):
+    return np.concatenate((pose.translation, pose.rotation.ravel()))
+
+
+def test_bands_of_a_pose_measure_tilts_and_turns_that_were_made(ur5):
+    random = np.random.default_rng(0)
+    task = ToleranceTask(PoseTask(ur5, "tool0"), {"ry": 0.4, "cone": 0.3, "z": 0.02})
+    assert task.bands == ("z", "cone", "ry")
+    for tilt, turn, height in ((0.1, 0.3, 0.01), (0.29, -0.39, -0.02), (1.2, 3.1, 0.0), (0.0, math.pi, 0.1)):
+        target = pin.SE3.Random()
+        about = np.insert(random.normal(size=2), 1, 0.0)
+        about /= np.linalg.norm(about)
+        placed = target.copy()
+        # About axes of the frame: first the turn about y, then the tilt of y.
+        placed.rotation = target.rotation @ pin.exp3(tilt * about) @ pin.exp3(np.array([0.0, turn, 0.0]))
+        placed.translation = target.translation + np.array([0.5, -0.4, height])
+        used = task.used(flat(placed)[None], flat(target)[None])[0]
+        np.testing.assert_allclose(
+            np.linalg.norm(used, axis=1), [abs(height) / 0.02, tilt / 0.3, abs(turn) / 0.4], atol=1e-9
+        )
+
+
+def test_cone_of_a_direction_measures_the_angle(ur5):
+    random = np.random.default_rng(1)
+    task = ToleranceTask(PointAxisTask(ur5, "tool0", "x"), {"cone": 0.2})
+    assert task.m == 3
+    Z, targets = random.normal(size=(2, 20, 6))
+    Z[:, 3:] /= np.linalg.norm(Z[:, 3:], axis=1)[:, None]
+    targets[:, 3:] /= np.linalg.norm(targets[:, 3:], axis=1)[:, None]
+    used = np.linalg.norm(task.used(Z, targets), axis=2)[:, 0]
+    np.testing.assert_allclose(0.2 * used, np.arccos((Z[:, 3:] * targets[:, 3:]).sum(axis=1)), atol=1e-9)
+
+
+def test_tolerance_task_tracks_the_rest_along_a_path_of_poses(ur5):
+    """Velocities of the path are those of what is tracked, against differences."""
+    random = np.random.default_rng(2)
+    poses = [pin.SE3(pin.exp3(0.4 * random.normal(size=3)), 0.3 * random.normal(size=3)) for _ in range(5)]
+    for tolerance in ({"rz": 0.2}, {"rx": 0.3, "y": 0.01}, {"x": 0.1}, {"cone": 0.1, "rz": 1.0}):
+        task, t, h = ToleranceTask(PoseTask(ur5, "tool0"), tolerance), 1.37, 1e-5
+        path = waypoint_path(task, poses, [0.0, 1.0, 2.0, 3.0, 4.0])
+        z, dz, ddz = path(t)
+        ahead, behind = path(t + h), path(t - h)
+        np.testing.assert_allclose((task.minus(ahead.z, z) - task.minus(behind.z, z)) / (2 * h), dz, atol=1e-6)
+        np.testing.assert_allclose((ahead.dz - behind.dz) / (2 * h), ddz, atol=1e-6)
+        again = task_from_description(ur5, task.describe())
+        assert repr(again) == repr(task)
+
+
+def wavy(count=40):
+    """Poses on a closed curve of a curved surface, the z axis along the normal and x as near the world's as can be."""
+    poses = []
+    for s in 2.0 * np.pi * np.arange(count + 1) / count:
+        z = np.array([0.25 * math.cos(s), 0.2 * math.sin(2.0 * s), -1.0])
+        z /= np.linalg.norm(z)
+        x = np.array([1.0, 0.0, 0.0]) - z[0] * z
+        x /= np.linalg.norm(x)
+        place = np.array([0.45 + 0.15 * math.cos(s), 0.1 + 0.15 * math.sin(s), 0.2])
+        poses.append(pin.SE3(np.column_stack((x, np.cross(z, x), z)), place))
+    return poses
+
+
+def angles(task, q, poses):
+    """Angle between the axes z, and the turn about them, at each posture, by Pinocchio."""
+    for joints, pose in zip(q, poses, strict=True):
+        E = pose.rotation.T @ task.robot.placement(joints, "torch").rotation
+        yield math.acos(min(1.0, E[2, 2])), math.atan2(E[1, 0] - E[0, 1], E[0, 0] + E[1, 1])
+
+
+@pytest.mark.parametrize("tolerance", [{"rz": 0.3}, {"rz": 0.3, "cone": 0.2}])
+def test_plan_uses_its_tolerance_and_keeps_it(torch, tolerance):
+    whole, poses = PoseTask(torch, "torch"), wavy()
+    task = ToleranceTask(whole, tolerance)
+    tight, found = plan(whole, poses, closed=True), plan(task, poses, closed=True)
+    assert found.info["joint_motion"] < 0.95 * tight.info["joint_motion"]
+    tilts, turns = np.array(list(angles(task, found.at_waypoints(), poses))).T
+    assert np.abs(turns).max() <= tolerance["rz"]
+    assert tilts.max() <= tolerance.get("cone", 1e-6)
+    # And uses it.
+    assert 0.9 < found.info["tolerance_used"]["rz"] <= 1.0
+    law = FollowPlan(found, torch)
+    start = found(found.start)
+    run = simulate(torch, EosController(task, law.path, law), start.q, dq=start.dq, duration=0.2)
+    assert run.status == "finished"
+    assert np.abs(run.error).max() < 1e-6
+    np.testing.assert_allclose(run.q[-1], found(run.t[-1]).q, atol=1e-6)
+
+
+def test_plan_exists_with_a_tolerance_where_there_is_none_without(torch):
+    whole, poses = PoseTask(torch, "torch"), wavy()
+    limits = torch.lower.copy(), torch.upper.copy()
+    turns = plan(whole, poses, closed=True).q[:, 5]
+    # The last joint has not the room that it needs for a fixed roll.
+    limits[0][5], limits[1][5] = turns.mean() - 0.3 * np.ptp(turns), turns.mean() + 0.3 * np.ptp(turns)
+    with pytest.raises(PlanError):
+        plan(whole, poses, closed=True, limits=limits, effort=1)
+    found = plan(ToleranceTask(whole, {"rz": 0.5}), poses, closed=True, limits=limits, effort=1)
+    assert (found.q[:, 5] >= limits[0][5]).all()
+    assert (found.q[:, 5] <= limits[1][5]).all()
+    assert found.info["tolerance_used"]["rz"] <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "tolerance", "reason"),
+    [
+        (PoseTask, {}, "got none"),
+        (PoseTask, {"roll": 0.1}, "takes tolerances of x, y, z, rx, ry, rz, cone; got roll"),
+        (PoseTask, {"cone": 0.1}, "choose the task point-axis"),
+        (PoseTask, {"rx": 0.1, "rz": 0.1}, "one of rx, ry and rz"),
+        (PoseTask, {"rz": 4.0}, "at most 3.142 rad"),
+        (PointAxisTask, {"cone": 1.6}, "at most 1.571 rad"),
+        (PointAxisTask, {"rz": 0.1}, "takes tolerances of x, y, z, cone; got rz"),
+        (OrientationTask, {"rz": 0.1, "cone": 0.1}, "nothing of"),
+        (PositionTask, {"x": -0.1}, "above 0, got -0.1"),
+        (AxisTask, {"cone": 0.1}, "takes tolerances of nothing"),
+    ],
+)
+def test_tolerance_task_refuses_what_it_cannot_keep(ur5, kind, tolerance, reason):
+    with pytest.raises(InputError, match=reason):
+        ToleranceTask(kind(ur5, "tool0"), tolerance)
