@@ -159,7 +159,7 @@ def stops(runs: int) -> dict[str, Any]:
 
 def planned() -> dict[str, Any]:
     """`peers` on circles too large for one chart; the loop follows closed plans, where all begin."""
-    return peers(period=0.004, radius=0.4)
+    return peers(period=0.004, radius=0.25)
 
 
 def peers(rounds: int = 3, period: float = 0.002, radius: float | None = None) -> dict[str, Any]:
@@ -173,7 +173,7 @@ def peers(rounds: int = 3, period: float = 0.002, radius: float | None = None) -
             kept, law = JointLimits.without_torques(robot), None
             if radius is not None:
                 reach = radius * robot.reach
-                path = circle([0.5 * reach, 0.0, 0.7 * reach], reach, period=8.0, plane="xy")
+                path = circle([1.8 * reach, reach, 1.6 * reach], reach, period=8.0, plane="yz")
                 way = plan(task, path, closed=True)
                 path, q, law = way.path, way(0.0).q, FollowPlan(way, robot)
             count = round(path.period / period)

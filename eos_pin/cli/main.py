@@ -20,6 +20,7 @@ from eos_pin.errors import OldNameError
 # What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
 if TYPE_CHECKING:
     pass
+from eos_pin.cli.analyze import analyze
 from eos_pin.cli.ik import ik
 from eos_pin.cli.plan import plan
 from eos_pin.cli.rehearse import rehearse
@@ -42,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words == ["--version"]:
         console.print(f"eos-pin {version('eos-pin')}")
         return 0
-    commands = {f.__name__: f for f in (track, plan, compare, sweep, rehearse, info, ik, replay, robots)}
+    commands = {f.__name__: f for f in (track, plan, compare, sweep, rehearse, analyze, info, ik, replay, robots)}
 
     def command() -> int:
         _refuse_old_flags(words)

@@ -30,6 +30,7 @@ from eos_pin.experiments._interrupts import patient_interrupts
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from eos_pin.experiments.joint_logs import JointLog
     from eos_pin.planning.obstacles.clearance import Obstacle
     from eos_pin.robot.model import Robot
     from eos_pin.simulation._recorder import Observer
@@ -257,8 +258,8 @@ def print_files(files: Sequence[Path]) -> None:
         console.print("Wrote " + ", ".join(str(file) for file in files), soft_wrap=True)
 
 
-def say_notes(made: Robot | Trajectory) -> None:
-    """Print the notes of a robot and a path on the error stream: choices, changes, missing files."""
+def say_notes(made: Robot | Trajectory | JointLog) -> None:
+    """Print the notes of a robot, a path or a log on the error stream: choices, changes, missing files."""
     for note in made.notes:
         stderr.print(f"Note: {note}", markup=False, soft_wrap=True)
 

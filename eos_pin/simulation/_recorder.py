@@ -283,7 +283,7 @@ def joint_run(
         task: The task.
         t: Times [s].
         q: Joints.
-        z: Task points that were asked for.
+        z: Task points that were asked for, NaN where that is not known.
         dq: Velocities of joints that were measured or commanded; without them the joints are postures.
         v: Self-motion coordinates, if there are charts.
         chart: Number of the chart at each time.
@@ -299,10 +299,13 @@ def joint_run(
     v = np.zeros((len(t), 0)) if v is None else v
     chart = np.zeros(len(t), dtype=np.int64) if chart is None else chart
     reached = np.array([task._value(row) for row in q]).reshape(len(t), task.size)
-    error = np.array([task._minus(a, b) for a, b in zip(z, reached, strict=True)]).reshape(len(t), task.m)
+    error = np.full((len(t), task.m), math.nan)
+    if np.isfinite(z).all():
+        error = np.array([task._minus(a, b) for a, b in zip(z, reached, strict=True)]).reshape(len(t), task.m)
+    none = np.zeros_like(error)
     told = {"robot": _record(robot), "task": task.describe(), "controller": {"kind": "Kinematics"}, "arguments": {}}
     told["limits"] = limits_of(robot, moving=moving)
-    dz, energy = 0.0 * error, rest
+    dz, energy = none, rest
     if moving:
         rows = list(zip(q, speeds, strict=True))
         dz = np.array([task._at(*row).dz for row in rows]).reshape(error.shape)
@@ -311,8 +314,8 @@ def joint_run(
             np.full(len(t), math.nan) if robot.lacks_dynamics else np.array([robot._kinetic_energy(*x) for x in rows])
         )
     given: dict[str, Any] = {
-        "ddq": still, "tau": np.full_like(still, math.nan) if moving else still, "task_force": 0.0 * error,
-        "task_deficit": 0.0 * error, "deficit_from_limits": 0.0 * error, "dv": 0.0 * v,
+        "ddq": still, "tau": np.full_like(still, math.nan) if moving else still, "task_force": none,
+        "task_deficit": none, "deficit_from_limits": none, "dv": 0.0 * v,
         "v_ref": np.full_like(v, np.nan), "switches": t[1:][np.diff(chart) != 0], "kinetic_energy": energy,
         "work": rest,
     }  # fmt: skip

@@ -1,0 +1,72 @@
+"""`eos-pin analyze`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from eos_pin.cli.output import Output, console, print_files, run_table, say_notes, stderr, write_outputs
+from eos_pin.errors import InputError
+from eos_pin.experiments.options import RobotOptions, TaskOptions
+
+#: A robot that must be given by name, as the log comes first on the command line.
+NOBODY = RobotOptions("")
+
+
+def analyze(
+    log: tyro.conf.Positional[Path],
+    robot: RobotOptions = NOBODY,
+    task: TaskOptions = TaskOptions(),
+    output: Output = Output(),
+    period: float | None = None,
+    joints: tuple[str, ...] = (),
+    degrees: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+) -> int:
+    """Analyze joints recorded elsewhere: task path, self-motion, drift in each round, and use of limits.
+
+    Files go to runs/LOG-analysis unless --out says otherwise: run.npz, summary.json, replay.html, overview.png.
+
+    Args:
+        log: Table (.csv) with a column t [s] and one for each joint by its name [rad or m]; q_NAME and dq_NAME, the
+            columns of `eos-pin track --csv` and of `rehearse --log`, will do.
+        robot: Which robot moved.
+        task: What counts.
+        output: What to keep.
+        period: Time of one round [s]; by default it is found.
+        joints: Names that the log has for the joints, in the robot's order; by default the robot's own.
+        degrees: Angles are in degrees.
+
+    For example:
+
+      eos-pin analyze log.csv --robot ur5 --frame tool0
+      eos-pin analyze log.csv --robot robot.urdf --task pose --period 4 --degrees --json drift.json
+    """
+    if not robot.robot:
+        raise InputError(f"whose joints are in {log}? Add --robot NAME, or the path of its URDF")
+    if task.q0:
+        raise InputError("--q0 does not apply: the log has the joints")
+    output.without("seed", reason="nothing is random here")
+    if output.view:
+        raise InputError("--view does not apply: the run is over; its replay is --html FILE")
+    from eos_pin.experiments.defaults import make_task
+    from eos_pin.experiments.joint_logs import read_joint_log
+    from eos_pin.simulation.analysis import analyze as analyzed
+
+    machine = robot.load()
+    say_notes(machine)
+    frame = str(machine.options.get("chain_to", ""))
+    goal = make_task(machine, task.task, frame=frame, axes=task.axes, tool_axis=task.tool_axis)
+    read = read_joint_log(log, machine, joints=joints, degrees=degrees)
+    say_notes(read)
+    result = analyzed(goal, read.t, read.q, dq=read.dq, period=period, source=str(log))
+    summary = result.summary()
+    console.print(run_table(summary))
+    if not math.isfinite(result.period):
+        stderr.print("Note: no rounds were found; --period T gives the time of one.", soft_wrap=True)
+    names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
+    files = output.within(Path("runs") / f"{log.stem}-analysis", names=names)
+    print_files(write_outputs(files, result, machine, figures=summary))
+    return 0
