@@ -24,6 +24,7 @@ def analyze(
     period: float | None = None,
     joints: tuple[str, ...] = (),
     degrees: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    topic: str = "",
 ) -> int:
     """Analyze joints recorded elsewhere: task path, self-motion, drift in each round, and use of limits.
 
@@ -31,17 +32,19 @@ def analyze(
 
     Args:
         log: Table (.csv) with a column t [s] and one for each joint by its name [rad or m]; q_NAME and dq_NAME, the
-            columns of `eos-pin track --csv` and of `rehearse --log`, will do.
+            columns of `eos-pin track --csv` and of `rehearse --log`, will do. Or the folder of a bag of ROS 2.
         robot: Which robot moved.
         task: What counts.
         output: What to keep.
         period: Time of one round [s]; by default it is found.
         joints: Names that the log has for the joints, in the robot's order; by default the robot's own.
         degrees: Angles are in degrees.
+        topic: Topic of the joint states in a bag; by default the only one there is.
 
     For example:
 
       eos-pin analyze log.csv --robot ur5 --frame tool0
+      eos-pin analyze bag --robot panda --topic /joint_states
       eos-pin analyze log.csv --robot robot.urdf --task pose --period 4 --degrees --json drift.json
     """
     if not robot.robot:
@@ -59,7 +62,7 @@ def analyze(
     say_notes(machine)
     frame = str(machine.options.get("chain_to", ""))
     goal = make_task(machine, task.task, frame=frame, axes=task.axes, tool_axis=task.tool_axis)
-    read = read_joint_log(log, machine, joints=joints, degrees=degrees)
+    read = read_joint_log(log, machine, joints=joints, degrees=degrees, topic=topic)
     say_notes(read)
     result = analyzed(goal, read.t, read.q, dq=read.dq, period=period, source=str(log))
     summary = result.summary()

@@ -14,6 +14,7 @@ from eos_pin._arrays import Array, JointVector, Vector, checked, frozen_copy
 from eos_pin.errors import InputError
 from eos_pin.robot.joint_map import JointMap
 from eos_pin.robot.model import Robot
+from eos_pin.trajectories.bags import read_bag
 from eos_pin.trajectories.waypoints import _cells, _decimal, _numbers
 
 #: Names of the column of times.
@@ -43,24 +44,37 @@ class JointLog:
 
 
 @checked
-def read_joint_log(path: str | Path, robot: Robot, *, joints: Sequence[str] = (), degrees: bool = False) -> JointLog:
-    """Read a joint log: a text table whose first row names its columns.
+def read_joint_log(
+    path: str | Path, robot: Robot, *, joints: Sequence[str] = (), degrees: bool = False, topic: str = ""
+) -> JointLog:
+    """Read a joint log: a bag of ROS 2 with joint states, or a text table whose first row names its columns.
 
     Times [s] are in a column t, time, timestamp or stamp. The position of a joint is in the column of its name, also
     written q_NAME, NAME/position or position/NAME; its velocity, if it is there, in dq_NAME, NAME/velocity or
     velocity/NAME. Other columns do not count. A last row that was not written to its end is left out.
 
     Args:
-        path: Text file.
+        path: Text file, or the folder of a bag.
         robot: The robot.
         joints: Names that the file has for the joints, in the robot's order; by default the robot's own.
         degrees: Whether angles are in degrees.
+        topic: Topic of joint states in a bag; by default the only one there is.
 
     Raises:
         InputError: The file cannot be used; it names file, line and cause. Angles seem to be in degrees.
         UnknownNameError: A joint has no column.
+        MissingDependencyError: It is a bag, and rosbags is not installed.
     """
-    path = Path(path)
+    path, wanted = Path(path), _wanted(robot, joints, str(path))
+    if path.is_dir() or path.suffix == ".mcap":
+        motion = read_bag(path if path.is_dir() else path.parent, topic=topic, joints=wanted)
+        speeds = [] if motion.dq is None else [motion.dq]
+        names = [*wanted, *(f"dq_{name}" for name in wanted * len(speeds))]
+        return log_of(
+            robot, motion.t, names, np.hstack([motion.q, *speeds]), source=str(path), joints=joints, degrees=degrees
+        )
+    if topic:
+        raise InputError(f"topic {topic!r} does not apply: {path} is no bag")
     rows = _cells(path)
     if not rows or all(_decimal(cell) is not None for cell in rows[0][1]):
         raise InputError(f"{path}: the first row must name the columns: t, and each joint by its name")
@@ -72,7 +86,6 @@ def read_joint_log(path: str | Path, robot: Robot, *, joints: Sequence[str] = ()
     time = next((name for name in names if name.lower() in TIMES), None)
     if time is None:
         raise InputError(f"{path}: no column has the times; name it t. The columns are {', '.join(names)}")
-    wanted = _wanted(robot, joints, str(path))
     # What does not count may be empty or no number.
     used = [k for k, name in enumerate(names) if name == time or any(_spelled(name, what, wanted) for what in _SPELLED)]
     columns = [names[k] for k in used]

@@ -12,6 +12,7 @@ from eos_pin.cli.main import main
 from eos_pin.experiments.joint_logs import read_joint_log
 from eos_pin.plots import overview
 from eos_pin.simulation.analysis import analyze, round_of
+from eos_pin.trajectories.bags import JointMotion, write_bag
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 REST = np.array([0.0, -1.2, 1.8, -1.0, -1.5, 0.2])
@@ -121,6 +122,30 @@ def test_columns_are_known_by_many_spellings(log, tmp_path):
     np.testing.assert_array_equal(read.q[:, 0], [0.5, 0.7])
     np.testing.assert_array_equal(read.dq, 2.0)
     np.testing.assert_allclose(read.t, [0.0, 0.1])
+
+
+def test_bag_of_joint_states_is_analyzed(log, tmp_path, capsys):
+    pytest.importorskip("rosbags")
+    task, t, q = log
+    names = [*names_of(task)[::-1], "gripper"]
+    values = np.column_stack((q[:, ::-1], 0.0 * t))
+    write_bag(tmp_path / "bag", JointMotion(names, t, values, 2.0 + 0.0 * values))
+    for path in (tmp_path / "bag", next((tmp_path / "bag").glob("*.mcap"))):
+        read = read_joint_log(path, task.robot)
+        np.testing.assert_array_equal(read.q, q)
+        np.testing.assert_array_equal(read.dq, 2.0)
+        np.testing.assert_allclose(read.t, t, atol=1e-9)
+    figures = tmp_path / "a.json"
+    words = f"analyze {tmp_path / 'bag'} --robot ur5 --topic /joint_states --out {tmp_path / 'out'} --json {figures}"
+    assert main(words.split()) == 0
+    np.testing.assert_allclose(json.loads(figures.read_text())["joint_drift_per_cycle"], drift_of(q), atol=1e-5)
+    capsys.readouterr()
+    assert main([*words.split()[:4], "--topic", "/other"]) == 2
+    assert "not on '/other'" in capsys.readouterr().err
+    assert main(["analyze", str(tmp_path), "--robot", "ur5"]) == 2
+    assert "is no bag of ROS 2" in " ".join(capsys.readouterr().err.split())
+    with pytest.raises(InputError, match="does not apply"):
+        read_joint_log(table(tmp_path / "a.csv", t, q, names_of(task)), task.robot, topic="/joint_states")
 
 
 def test_own_names_and_degrees_are_said(log, tmp_path):
