@@ -15,6 +15,6 @@ setup(
             define_macros=[("NPY_NO_DEPRECATED_API", "NPY_2_0_API_VERSION")],
             optional=True,
         )
-        for name in ("law", "parts", "_turns", "_chain", "_solids", "_step", "_trace")
+        for name in ("law", "limits", "parts", "_turns", "_chain", "_solids", "_step", "_trace")
     ]
 )

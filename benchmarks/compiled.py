@@ -16,6 +16,7 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 import json
 import subprocess
 import sys
+import weakref
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -44,10 +45,11 @@ from eos_pin import (
     load_robot,
     simulate,
 )
+from eos_pin._arrays import ORTHONORMAL
 from eos_pin._kernels.dispatch import REFERENCES, kernels
 from eos_pin.cli.main import run
 from eos_pin.cli.output import console, grid, stderr, write_json
-from eos_pin.tasks._flat import ORTHONORMAL
+from eos_pin.control._smallest_change import SmallestChange
 
 TIP, REST = "panda_hand_tcp", np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 #: A call, by what it does.
@@ -86,7 +88,7 @@ def twins() -> tuple[Calls, Calls]:
         F = controller.asked(0.1, REST, dq, chart, point)
         limited = LimitedEosController(task, path)
         ddq = state.drive(point.J, F, dq)[0]
-        program = limited._within.__reduce__()[1][-1].program
+        program = SmallestChange(task.m, task.robot.n).program
         bound = np.full(14, 10.0)
         change = point.J, task.robot.mass(REST), -bound, np.where(np.arange(14) == 1, -1.0, bound)
 
@@ -118,6 +120,11 @@ def twins() -> tuple[Calls, Calls]:
                 partial(watches[0].accepts, 0.0, REST, dq),
                 partial(watches[1].accepts, 0.0, REST, dq),
             )
+            marks = {"self": None, "q": ((7,), ()), "dq": ((7,), ())}
+            fast, slow = (form(tuple(marks)) for form in (kernels.Accepted, REFERENCES["Accepted"]))
+            for form in (fast, slow):
+                form.remember(weakref.ref(task), marks)
+            pairs["Accepted"] = partial(fast, (task, REST, dq), {}), partial(slow, (task, REST, dq), {})
             pairs["within_limits_fast"] = _pair("within_limits_fast", REST, np.full(7, 0.01))
             pairs["largest"] = _pair("largest", error)
             pairs["state_rate"] = _pair("state_rate", dq, dq_last, REST)

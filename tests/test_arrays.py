@@ -7,9 +7,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from checks import tip
 from hypothesis import given
 from hypothesis import strategies as st
 
+from eos_pin import Chart, PoseTask, PositionTask, load_robot
 from eos_pin._arrays import broadcast, frozen_copy, number, vector
 from eos_pin.errors import InputError
 
@@ -85,3 +87,56 @@ def test_number_keeps_its_bounds():
         number(-1, "x", at_least=0.0)
     with pytest.raises(InputError, match=r"x must be a finite number above 0, got 0"):
         number(0, "x", above=0.0)
+
+
+# -- what a function accepted once ----------------------------------------------------------------------------------
+
+
+def worse(x):
+    """Arrays that look like a good one, and what is to be said of them."""
+    bad = x.copy()
+    bad[0] = np.nan
+    yield bad, "finite"
+    yield np.append(x, 0.0), "must be"
+    yield x[None], "must be"
+    yield ["a"] * len(x), "numbers"
+
+
+def test_methods_check_every_call_after_one_that_they_accepted(unchecked):
+    robots = [load_robot(name, chain_to="auto") for name in ("panda", "ur5")]
+    for _ in range(3):
+        for robot in robots:
+            q = np.full(robot.n, 0.1)
+            expected = robot.bias(q, q)
+            for other, says in worse(q):
+                for arguments in ((other, q), (q, other)):
+                    with pytest.raises(InputError, match=says):
+                        robot.bias(*arguments)
+            strided, single, huge = np.repeat(q, 2)[::2], q.astype(np.float32), np.full(robot.n, 1e200)
+            np.testing.assert_array_equal(robot.bias(strided, list(q)), expected)
+            np.testing.assert_allclose(robot.bias(single, q), expected, rtol=1e-6)
+            assert robot.mass(huge).shape == (robot.n, robot.n)
+            with pytest.raises(InputError, match="one per joint"):
+                robot.bias(np.full(13 - robot.n, 0.1), q)
+
+
+def test_chart_checks_every_task_point_after_one_that_it_accepted(panda, unchecked):
+    for kind in (PositionTask, PoseTask):
+        chart = Chart.from_base(kind(panda, tip(panda)), 0.5 * (panda.lower + panda.upper))
+        for _ in range(3):
+            np.testing.assert_allclose(chart.inverse(chart.z_bar, chart.v_bar).q, chart.q_bar, atol=1e-9)
+            for other, _ in worse(chart.z_bar):
+                with pytest.raises(InputError):
+                    chart.inverse(other, chart.v_bar)
+            with pytest.raises(InputError, match="refresh must be True or False"):
+                chart.inverse(chart.z_bar, chart.v_bar, refresh="yes")
+            with pytest.raises(InputError, match="tol must be"):
+                chart.inverse(chart.z_bar, chart.v_bar, tol=np.nan)
+    mirrored = chart.z_bar.copy()
+    mirrored[3:6] *= -1.0
+    with pytest.raises(InputError, match="orthonormal columns and determinant 1"):
+        chart.inverse(mirrored, chart.v_bar)
+    # Digits that were rounded are mended, every time.
+    rounded = np.round(chart.z_bar, 8)
+    for _ in range(3):
+        assert chart.inverse(rounded, chart.v_bar).residual <= 1e-10

@@ -1,5 +1,6 @@
 """Arrays: their aliases, the checks of values, and those of all arguments of a public function."""
 
+from eos_pin._arrays.arrays import ORTHONORMAL as ORTHONORMAL
 from eos_pin._arrays.arrays import Above as Above
 from eos_pin._arrays.arrays import Array as Array
 from eos_pin._arrays.arrays import Jacobian as Jacobian
@@ -18,6 +19,7 @@ from eos_pin._arrays.arrays import by_identity as by_identity
 from eos_pin._arrays.arrays import frozen_copy as frozen_copy
 from eos_pin._arrays.arrays import gains as gains
 from eos_pin._arrays.arrays import is_finite as is_finite
+from eos_pin._arrays.arrays import is_rotation as is_rotation
 from eos_pin._arrays.arrays import largest_magnitude as largest_magnitude
 from eos_pin._arrays.arrays import listed as listed
 from eos_pin._arrays.arrays import nearest as nearest

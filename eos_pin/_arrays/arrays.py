@@ -39,6 +39,10 @@ Positive: TypeAlias = Annotated[float, Above(0.0)]
 NonNegative: TypeAlias = Annotated[float, Above(0.0, reached=True)]
 PositiveOrInfinite: TypeAlias = Annotated[float, Above(0.0, endless=True)]
 
+#: How far RᵀR may be from 1 in a rotation that is taken as it is.
+ORTHONORMAL = 1e-14
+_IDENTITY = np.eye(3)
+
 T = TypeVar("T")
 
 
@@ -69,6 +73,16 @@ def is_finite(array: Array) -> bool:
     if array.ndim == 1 and array.size <= 32:
         return all(map(math.isfinite, array.tolist()))
     return bool(np.isfinite(array).all())
+
+
+def is_rotation(R: Float[np.ndarray, "3 3"], tolerance: float = ORTHONORMAL) -> bool:
+    """Whether a finite matrix is a rotation to rounding.
+
+    Args:
+        R: The matrix.
+        tolerance: How far RᵀR may be from 1.
+    """
+    return bool(np.abs(R.T.dot(R) - _IDENTITY).max() <= tolerance and np.linalg.det(R) > 0.0)
 
 
 def frozen_copy(array: Array, kind: type = float) -> Array:

@@ -2,10 +2,14 @@
 
 `checked` reads what a public function takes from its annotations, and what it is given otherwise is refused in the
 caller's own words. Inner code calls the same function without the check, as `_name` of a method `name`.
+
+A function remembers the arguments that it accepted: by the same object, with the same shapes and types, the next ones
+only have to be finite. This is all that a call in a control step costs.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import math
@@ -14,13 +18,14 @@ import os
 import sys
 import types
 import typing
+import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from eos_pin._arrays.arrays import Above, Array, as_floats, is_finite, number
+from eos_pin._arrays.arrays import Above, Array, as_floats, is_finite, is_rotation, number
 from eos_pin.errors import InputError
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -76,12 +81,83 @@ def unchecked(function: F) -> F:
 def _bordered(function: Any, border: _Border) -> Any:
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
-        if kwargs:
-            kwargs = border.named(args, kwargs)
-        return function(*border.positional(args), **kwargs)
+        if not border.accepted(args, kwargs):
+            args, kwargs = border.converted(args, kwargs)
+        return function(*args, **kwargs)
 
     wrapper.unchecked, wrapper.border = function, border  # type: ignore[attr-defined]
     return wrapper
+
+
+class Never:
+    """The class of no argument: the mark of one that is always looked at."""
+
+
+class Accepted:
+    """The arguments that a function accepted of its last few owners; the compiled form is in `parts.pyx`.
+
+    The owner is the first argument, such as `self`, from which the sizes of arrays are read. Marks are by which the
+    next argument is recognized: None for any; (shape, rotations) for a finite array of this shape with rotations at
+    these places, row by row; a number for a finite float above it; a class for its direct instances.
+
+    Args:
+        names: Names of the function's parameters.
+    """
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self._names = names
+        self._entries: list[tuple[Callable[[], Any], dict[str, Any]]] = []
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self._names,)
+
+    def remember(self, owner: Callable[[], Any], marks: dict[str, Any]) -> None:
+        """Keep the marks of an owner, of which a weak reference is given, beside those that it has."""
+        known = [entry for entry in self._entries if entry[0]() is not None]
+        before = next((marks for one, marks in known if one() is owner()), {})
+        self._entries = [(owner, before | marks), *(entry for entry in known if entry[0]() is not owner())][:FEW]
+
+    def __call__(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> bool:
+        """Whether the function surely accepts arguments as they are."""
+        marks = next((marks for owner, marks in self._entries if args and owner() is args[0]), None)
+        if marks is None or len(args) > len(self._names):
+            return False
+        given = (*zip(self._names, args), *kwargs.items())  # noqa: B905
+        return all(_recognized(value, marks.get(name, Never)) for name, value in given)
+
+
+#: So many owners a function remembers.
+FEW = 4
+#: The form of `Accepted` that is used; `_kernels.dispatch` puts a compiled one here.
+accepted_kind: Any = Accepted
+
+
+def _recognized(value: Any, mark: Any) -> bool:
+    if mark is None:
+        return True
+    if isinstance(mark, float):
+        return type(value) is float and mark < value < math.inf
+    if isinstance(mark, type):
+        return type(value) is mark
+    shape, rotations = mark
+    if type(value) is not np.ndarray or value.shape != shape or value.dtype != float or not value.flags.forc:
+        return False
+    flat = value.ravel("K")
+    return is_finite(flat) and all(is_rotation(flat[i : i + 9].reshape(3, 3)) for i in rotations)
+
+
+class _Check(NamedTuple):
+    """The check of a parameter: the argument that the function takes, and the mark of an argument that it accepted.
+
+    Both are functions of the argument and of all arguments.
+    """
+
+    run: Callable[[Any, Sequence[Any]], Any]
+    mark: Callable[[Any, Sequence[Any]], Any] = lambda value, known: type(value)
+
+
+def _unmarked(value: Any, known: Sequence[Any]) -> type:
+    return Never
 
 
 class _Border:
@@ -91,32 +167,36 @@ class _Border:
         self.function, self.base = function, base
 
     @functools.cached_property
-    def checks(self) -> dict[str, Callable[[Any, Sequence[Any]], Any] | None]:
+    def checks(self) -> dict[str, _Check | None]:
         names = inspect.unwrap(self.function).__globals__
         mine = {p.name: _check(p.name, _hint(p.annotation, names), p.default) for p in _parameters(self.function)}
         if self.base is None:
             return mine
         # What an override leaves open is checked as in the method of the base.
-        others = dict(zip(mine, self.base.ordered))  # noqa: B905
+        others = dict(zip(mine, self.base.checks.values()))  # noqa: B905
         return {name: check or others.get(name) for name, check in mine.items()}
 
     @functools.cached_property
-    def ordered(self) -> list[Callable[[Any, Sequence[Any]], Any] | None]:
-        return list(self.checks.values())
+    def accepted(self) -> Any:
+        """The arguments that need no closer look, an `Accepted`."""
+        return accepted_kind(tuple(self.checks))
 
-    def positional(self, args: Sequence[Any]) -> Sequence[Any]:
-        """The arguments in the form the function takes."""
-        if len(args) > len(self.ordered):
-            return args
-        return [value if check is None else check(value, args) for value, check in zip(args, self.ordered)]  # noqa: B905
-
-    def named(self, args: Sequence[Any], kwargs: dict[str, Any]) -> dict[str, Any]:
-        """The same of arguments by name."""
-        for name, value in kwargs.items():
+    def converted(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[tuple[Any, ...], dict[str, Any]]:
+        """The arguments in the form the function takes; remembered if they are in this form already."""
+        if len(args) > len(self.checks):
+            # Python refuses them in its own words.
+            return args, kwargs
+        known, marks = (*args, *kwargs.values()), {}
+        given = [*zip(self.checks, args), *kwargs.items()]  # noqa: B905
+        taken = []
+        for name, value in given:
             check = self.checks.get(name)
-            if check is not None:
-                kwargs[name] = check(value, (*args, *kwargs.values()))
-        return kwargs
+            taken.append(value if check is None else check.run(value, known))
+            marks[name] = None if check is None else check.mark(value, known)
+        if args and Never not in marks.values() and all(map(operator.is_, taken, known)):
+            with contextlib.suppress(TypeError):  # not every object can be referred to weakly
+                self.accepted.remember(weakref.ref(args[0]), marks)
+        return tuple(taken[: len(args)]), dict(zip(kwargs, taken[len(args) :]))  # noqa: B905
 
 
 def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
@@ -137,41 +217,51 @@ def _hint(annotation: Any, names: dict[str, Any]) -> Any:
         return None
 
 
-def _check(name: str, hint: Any, default: Any) -> Callable[[Any, Sequence[Any]], Any] | None:
+def _check(name: str, hint: Any, default: Any) -> _Check | None:
     """The check of one parameter; None for what the function looks at by itself."""
     choices = typing.get_args(hint)
     if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
         others = [choice for choice in choices if choice is not type(None)]
         check = _either(name, others) if len(others) > 1 else _check(name, others[0], default)
-        if check is None or len(others) == len(choices):
-            return check
-        return lambda value, known: value if value is None else check(value, known)
+        return check if check is None or len(others) == len(choices) else _or_none(check)
     if hint is bool:
-        return lambda value, known: _truth(value, name)
+        return _Check(lambda value, known: _truth(value, name))
     if (origin := typing.get_origin(hint)) in _SEVERAL:
-        return lambda value, known: _several(value, name, origin, choices)
+        return _Check(lambda value, known: _several(value, name, origin, choices), _unmarked)
     if origin is Callable:
-        return lambda value, known: _callable(value, name)
+        return _Check(lambda value, known: _callable(value, name))
     if hint is float or typing.get_origin(hint) is Annotated:
         bound = next((extra for extra in choices[1:] if isinstance(extra, Above)), Above(-math.inf))
         if choices and choices[0] is not float:
             return None
         endless = bound.endless or (isinstance(default, float) and math.isinf(default))
-        return lambda value, known: _number(value, name, bound, endless)
+        return _Check(lambda value, known: _number(value, name, bound, endless), lambda value, known: bound.least)
     if hint is int:
-        return lambda value, known: _integer(value, name)
+        return _Check(lambda value, known: _integer(value, name))
     if typing.get_origin(hint) is Literal:
-        return lambda value, known: _one_of(value, name, choices)
+        return _Check(lambda value, known: _one_of(value, name, choices), _unmarked)
     if hasattr(hint, "dim_str"):
         more, *rest = hint.dim_str.split()
         sizes, any_rows = (rest, True) if more.startswith("*") else ([more, *rest], False)
-        readable = all(size.isidentifier() or size.isdigit() for size in sizes) and "float64" in hint.dtypes
-        return _array_check(name, sizes, any_rows) if readable else None
+        if not (all(size.isidentifier() or size.isdigit() for size in sizes) and "float64" in hint.dtypes):
+            return None
+        return _Check(
+            lambda value, known: _array(value, name, sizes, known, any_rows),
+            lambda value, known: _array_mark(value, sizes, known),
+        )
     if not _is_class(hint):
         return None
     if getattr(hint, "_is_protocol", False):
-        return (lambda value, known: _callable(value, name)) if "__call__" in vars(hint) else None
-    return lambda value, known: _instance(value, name, (hint,))
+        return _Check(lambda value, known: _callable(value, name)) if "__call__" in vars(hint) else None
+    return _Check(lambda value, known: _instance(value, name, (hint,)))
+
+
+def _or_none(check: _Check) -> _Check:
+    """The same check where None is allowed as well."""
+    return _Check(
+        lambda value, known: None if value is None else check.run(value, known),
+        lambda value, known: type(None) if value is None else check.mark(value, known),
+    )
 
 
 def _is_class(hint: Any) -> bool:
@@ -187,40 +277,22 @@ _WHOLE: dict[Any, Any] = {Mapping: Mapping, Sequence: Sequence, tuple: tuple}
 _ALSO: dict[type, tuple[type, ...]] = {Path: (os.PathLike,)}
 
 
-def _either(name: str, others: Sequence[Any]) -> Callable[[Any, Sequence[Any]], Any] | None:
+def _either(name: str, others: Sequence[Any]) -> _Check | None:
     """The check of one of several classes; None where one of them has other forms, such as lists for arrays."""
     others = [_WHOLE.get(typing.get_origin(other), other) for other in others]
     if not all(_is_class(other) and other not in (float, int, np.ndarray) for other in others):
         return None
     if any(hasattr(other, "dim_str") or getattr(other, "_is_protocol", False) for other in others):
         return None
-    return lambda value, known: _instance(value, name, tuple(others))
-
-
-def _array_check(name: str, sizes: Sequence[str], any_rows: bool) -> Callable[[Any, Sequence[Any]], Any]:
-    """The check of an array; vectors as long as an attribute of the first argument pass at once, the everyday case."""
-    size = sizes[0] if len(sizes) == 1 else ""
-
-    def check(value: Any, known: Sequence[Any]) -> Array:
-        if (
-            size
-            and type(value) is np.ndarray
-            and value.dtype == float
-            and value.shape == (getattr(known[0], size, None),)
-            and is_finite(value)
-        ):
-            return value
-        return _array(value, name, sizes, known, any_rows)
-
-    return check
+    return _Check(lambda value, known: _instance(value, name, tuple(others)))
 
 
 def _array(value: Any, name: str, sizes: Sequence[str], known: Sequence[Any], any_rows: bool) -> Array:
     if sizes == ["size"] and (task := next((task for it in known if (task := _task_of(it)) is not None), None)):
-        return task.point(value)
+        point = task.point(value)
+        right = type(value) is np.ndarray and value.dtype == float and np.array_equal(value, point)
+        return value if right else point
     shape = tuple(int(size) if size.isdigit() else _size(size, known) for size in sizes)
-    if type(value) is np.ndarray and value.shape == shape and value.dtype == float and is_finite(value):
-        return value
     array = as_floats(value, name)
     last = array.shape[max(array.ndim - len(shape), 0) :] if any_rows else array.shape
     if len(last) != len(shape) or any(b is not None and a != b for a, b in zip(last, shape, strict=True)):
@@ -231,6 +303,17 @@ def _array(value: Any, name: str, sizes: Sequence[str], known: Sequence[Any], an
     if not is_finite(array):
         raise InputError(f"{name} must be finite, got {array.tolist()}")
     return array
+
+
+def _array_mark(value: Any, sizes: Sequence[str], known: Sequence[Any]) -> Any:
+    """The mark of an array whose sizes come from the owner alone."""
+    owner = known[:1]
+    if sizes == ["size"] and any(_task_of(it) is not None for it in known):
+        task = _task_of(owner[0])
+        return Never if task is None or task.rotations is None else (np.shape(value), task.rotations)
+    if any(_size(size, known) != _size(size, owner) for size in sizes if not size.isdigit()):
+        return Never
+    return np.shape(value), ()
 
 
 def _size(size: str, known: Sequence[Any]) -> int | None:
@@ -257,8 +340,6 @@ def _task_of(holder: Any) -> Any:
 
 
 def _number(value: Any, name: str, bound: Above, endless: bool) -> float:
-    if type(value) is float and bound.least < value < math.inf:
-        return value
     if endless and isinstance(value, float) and value == math.inf:
         return math.inf
     ends = {"at_least": bound.least} if bound.reached else {"above": bound.least}

@@ -1,9 +1,9 @@
 """The choice between compiled and plain kernels.
 
 A kernel is a function or a class that takes and returns plain arrays. Its plain form is written in NumPy, to be read.
-Where it runs in every control step and NumPy's price for a call counts, `law.pyx` and `parts.pyx` have a compiled form
-of the same name, with the same arguments and the same results to rounding (`benchmarks/compiled.py`). Without a
-compiler, and with EOS_PIN_COMPILED=0 in the environment, the plain forms do everything.
+Where it runs in every control step and NumPy's price for a call counts, `law.pyx`, `limits.pyx` and `parts.pyx` have a
+compiled form of the same name, with the same arguments and the same results to rounding (`benchmarks/compiled.py`).
+Without a compiler, and with EOS_PIN_COMPILED=0 in the environment, the plain forms do everything.
 """
 
 from __future__ import annotations
@@ -15,11 +15,14 @@ from importlib import import_module
 from types import SimpleNamespace
 from typing import Any, TypeVar, cast
 
+from eos_pin._arrays import border
+
 #: Extension modules, and all that is used of them.
 COMPILED = {
     "law": ("AccelerationMap", "Frame", "TrackingLaw"),
+    "limits": ("ChangeProgram", "Limits"),
     "parts": (
-        "ChangeProgram", "Curve", "Limits", "StateMonitor", "flat_pose", "largest", "newton_step", "on_chart_inverse",
+        "Accepted", "Curve", "StateMonitor", "flat_pose", "largest", "newton_step", "on_chart_inverse",
         "pose_difference", "state_rate", "within_limits_fast",
     ),
     "_chain": ("Chain", "LARGEST"),
@@ -27,6 +30,9 @@ COMPILED = {
     "_step": ("KinematicStep",),
     "_trace": ("nearest", "tangents", "trace"),
 }  # fmt: skip
+
+#: Those of kernels whose plain forms `use_compiled` chooses between.
+WITH_PLAIN_FORMS = ("law", "limits", "parts")
 
 #: Statuses of a kernel that cannot always answer: it did, its caller has to decide, or there is no answer.
 DONE, UNDECIDED, NO_ANSWER = 0, 1, 2
@@ -53,6 +59,12 @@ def use_compiled(plain: Kernel) -> Kernel:
         plain: Its plain form, a function or a class; `COMPILED` must list its name.
     """
     name = plain.__name__
-    assert name in COMPILED["law"] + COMPILED["parts"], f"{name} is not in the list of what is compiled"
+    assert any(name in COMPILED[module] for module in WITH_PLAIN_FORMS), (
+        f"{name} is not in the list of what is compiled"
+    )
     REFERENCES[name] = plain
     return cast(Kernel, plain if kernels is None else getattr(kernels, name))
+
+
+# Arrays lie below, so that they cannot ask.
+border.accepted_kind = use_compiled(border.Accepted)

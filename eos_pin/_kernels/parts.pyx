@@ -1,187 +1,112 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled twins of smaller parts: limits, the watch of a loop, curves, poses, Newton's method, the rate of the state."""
+"""Compiled twins of smaller parts: arguments, the watch of a loop, curves, poses, Newton's method, the state's rate."""
 
 cimport numpy as cnp
 from libc.math cimport INFINITY, cos, fabs, isfinite, sin, sqrt
-from scipy.linalg.cython_lapack cimport dgetrf, dgetri, dposv
+from scipy.linalg.cython_lapack cimport dgetrf, dgetri
 
 from eos_pin._kernels._common cimport as_plain, as_table, data, dot, empty, entry, named, plain, table
 
 import numpy as np
 from pinocchio import log3
 
-from eos_pin._kernels import dispatch
-
+from eos_pin._arrays.arrays import ORTHONORMAL
+from eos_pin._arrays.border import FEW, Never
 cnp.import_array()
 
-cdef int DONE = dispatch.DONE, UNDECIDED = dispatch.UNDECIDED, NO_ANSWER = dispatch.NO_ANSWER
+cdef double ROUNDING = ORTHONORMAL
 
 
-cdef class Limits:
-    """`plain_parts.Limits`.
+cdef class Accepted:
+    """`border.Accepted`, with the same arguments."""
 
-    Args:
-        period: Control period.
-        rate, ends, fastest, braking, acceleration: As for `plain_parts.Viability`.
-        torque: Largest torques, (n,).
-        clear: How much more each joint may be accelerated where limits are not looked at more closely.
-        model: Robot whose dynamics count.
-        smallest: `SmallestChange`.
-    """
+    cdef tuple names
+    cdef list entries
 
-    cdef Py_ssize_t n
-    cdef double half, rate, clear
-    cdef double *ends
-    cdef double *fastest
-    cdef double *braking
-    cdef double *acceleration
-    cdef double *torque
-    cdef double *least
-    cdef double *most
-    cdef double *factor
-    cdef object model, smallest
-    cdef tuple made_from, kept
-
-    def __init__(self, period, rate, ends, fastest, braking, acceleration, torque, clear, model, smallest):
-        self.made_from = period, rate, ends, fastest, braking, acceleration, torque, clear, model, smallest
-        self.half, self.rate, self.clear, self.model, self.smallest = 0.5 * period, rate, clear, model, smallest
-        self.n = n = len(torque)
-        vectors = tuple(np.array(x, dtype=float) for x in (ends, fastest, braking, acceleration, torque))
-        self.kept = *vectors, np.empty(n), np.empty(n), np.empty(n * n)
-        self.ends, self.fastest, self.braking, self.acceleration = (
-            data(vectors[0]), data(vectors[1]), data(vectors[2]), data(vectors[3])
-        )
-        self.torque, self.least, self.most, self.factor = (
-            data(vectors[4]), data(self.kept[5]), data(self.kept[6]), data(self.kept[7])
-        )
+    def __init__(self, tuple names):
+        self.names, self.entries = names, []
 
     def __reduce__(self):
-        return type(self), self.made_from
+        return type(self), (self.names,)
 
-    cdef double bound(self, Py_ssize_t i, double q, double dq) noexcept:
-        """Largest acceleration of a joint towards a limit."""
-        cdef double room = self.ends[i] - q, b = self.braking[i], speed = self.rate * dq
-        cdef double root = sqrt(2.0 * self.rate * self.rate * b * max(room, 0.0) + b * b)
-        cdef double beyond = self.rate * self.rate * min(room, 0.0), slower = 1.0 - beyond / self.fastest[i]
-        cdef double most = root - b + beyond / slower - b / root * speed / (slower * slower)
-        return min(max(min(most, self.fastest[i]) - speed, -self.acceleration[i]), self.acceleration[i])
+    def remember(self, owner, marks):
+        known = [entry for entry in self.entries if entry[0]() is not None]
+        for one, _, before in known:
+            if one() is owner():
+                marks = before | marks
+        others = [entry for entry in known if entry[0]() is not owner()]
+        # In the order of the parameters, and by their names.
+        self.entries = [(owner, tuple([marks.get(name, Never) for name in self.names]), marks), *others][:FEW]
 
-    cdef double kept_to(self, Py_ssize_t i, double ddq) noexcept:
-        return min(max(ddq, self.least[i]), self.most[i])
-
-    def __call__(self, joints, velocities, accelerations, J):
-        cdef Py_ssize_t n = self.n, i, j
-        cdef double up, down, part = 0.0, room = INFINITY, half = self.half, quarter = 0.5 * self.half * self.half
-        cdef cnp.ndarray q = as_plain(joints, n), dq = as_plain(velocities, n), ddq = as_plain(accelerations, n)
-        cdef cnp.ndarray tau = self.model._inverse_dynamics(q, dq, ddq)
-        cdef cnp.ndarray change = empty(n)
-        for i in range(n):
-            up, down = self.bound(i, data(q)[i], data(dq)[i]), self.bound(n + i, -data(q)[i], -data(dq)[i])
-            room = min(room, min(up - data(ddq)[i], down + data(ddq)[i]))
-            part += (data(tau)[i] / self.torque[i]) * (data(tau)[i] / self.torque[i])
-            self.most[i], self.least[i] = up, min(-down, up)
-            data(change)[i] = 0.0
-        if part < 1.0 and room > self.clear:
-            return tau, change
-        cdef cnp.ndarray middle = empty(n), speed = empty(n), below = empty(2 * n), above = empty(2 * n)
-        cdef cnp.ndarray shift = empty(n), mean, more, M
-        for i in range(n):
-            data(shift)[i] = self.kept_to(i, data(ddq)[i])
-            data(speed)[i] = data(dq)[i] + half * data(shift)[i]
-            data(middle)[i] = data(q)[i] + half * data(dq)[i] + quarter * data(shift)[i]
-        M = self.model._mass(middle)
-        mean = self.accelerations(M, self.model._bias(middle, speed), tau)
-        if self.within(mean, tau, below, above):
-            return tau, change
-        for i in range(n):
-            data(shift)[i] -= self.kept_to(i, data(mean)[i])
-        change = self.smallest(J, M, below, above)
-        part = 0.0
-        for i in range(n):
-            data(mean)[i] += data(change)[i]
-            data(speed)[i] = data(dq)[i] + half * (data(mean)[i] + data(shift)[i])
-            data(middle)[i] = data(q)[i] + half * data(dq)[i] + quarter * (data(mean)[i] + data(shift)[i])
-        tau = self.model._inverse_dynamics(middle, speed, mean)
-        for i in range(n):
-            part = max(part, fabs(data(tau)[i]) / self.torque[i])
-        if part > 1.0:
-            self.within(mean, tau, below, above)
-            for i in range(n):
-                data(below)[i], data(above)[i] = min(data(below)[i], 0.0), max(data(above)[i], 0.0)
-            M = self.model._mass(middle)
-            more = self.smallest(J, M, below, above)
-            for i in range(n):
-                data(change)[i] += data(more)[i]
-                for j in range(n):
-                    data(tau)[i] += entry(M, i, j) * data(more)[j]
-                data(tau)[i] = min(max(data(tau)[i], -self.torque[i]), self.torque[i])
-        return tau, change
-
-    cdef cnp.ndarray accelerations(self, cnp.ndarray M, cnp.ndarray bias, cnp.ndarray tau):
-        """M⁻¹ (tau − bias)."""
-        cdef int n = self.n, one = 1, info = 0
-        cdef cnp.ndarray ddq = empty(n)
-        cdef Py_ssize_t i, j
-        for i in range(n):
-            data(ddq)[i] = data(tau)[i] - data(bias)[i]
-            for j in range(n):
-                self.factor[i * n + j] = entry(M, i, j)
-        dposv("U", &n, &one, self.factor, &n, data(ddq), &n, &info)
-        return ddq
-
-    cdef bint within(self, cnp.ndarray mean, cnp.ndarray tau, cnp.ndarray below, cnp.ndarray above) noexcept:
-        """Whether accelerations and torques are within their limits; how far off these are, below and above."""
-        cdef Py_ssize_t n = self.n, i
-        cdef bint inside = True
-        for i in range(n):
-            data(below)[i], data(above)[i] = self.least[i] - data(mean)[i], self.most[i] - data(mean)[i]
-            data(below)[n + i], data(above)[n + i] = -self.torque[i] - data(tau)[i], self.torque[i] - data(tau)[i]
-        for i in range(2 * n):
-            inside &= data(below)[i] <= 0.0 <= data(above)[i]
-        return inside
+    def __call__(self, tuple args, dict kwargs):
+        cdef Py_ssize_t i, count = len(args)
+        cdef tuple entry, marks
+        if count == 0 or count > len(self.names):
+            return False
+        for entry in self.entries:
+            if entry[0]() is not args[0]:
+                continue
+            marks = entry[1]
+            for i in range(count):
+                if not recognized(args[i], marks[i]):
+                    return False
+            for name in kwargs:
+                if not recognized(kwargs[name], (<dict>entry[2]).get(name, Never)):
+                    return False
+            return True
+        return False
 
 
-cdef class ChangeProgram:
-    """`plain_parts.ChangeProgram`, with the same arguments."""
+cdef bint recognized(value, mark):
+    cdef double number
+    if mark is None:
+        return True
+    if type(mark) is tuple:
+        return is_array(value, (<tuple>mark)[0], (<tuple>mark)[1])
+    if type(mark) is float:
+        if type(value) is not float:
+            return False
+        number = value
+        return <double>mark < number < INFINITY
+    return type(value) is mark
 
-    cdef object update, solve
-    cdef tuple made_from, arguments
-    cdef double *rows
-    cdef double *upper
-    cdef double *lower
-    cdef double full_price
-    cdef Py_ssize_t m, n
 
-    def __init__(self, model, cnp.ndarray rows, cnp.ndarray upper, cnp.ndarray lower, cnp.ndarray kinds, full_price):
-        self.made_from = model, rows, upper, lower, kinds, full_price
-        # Neither H nor f changes.
-        self.update, self.solve, self.arguments = model.update, model.solve, (None, None, rows, upper, lower, kinds)
-        self.rows, self.upper, self.lower, self.full_price = data(rows), data(upper), data(lower), full_price
-        self.n, self.m = rows.shape[1], rows.shape[0] - rows.shape[1]
+cdef bint is_array(value, tuple shape, tuple rotations):
+    cdef Py_ssize_t k, size = 1
+    cdef double *x
+    if type(value) is not cnp.ndarray:
+        return False
+    array = <cnp.ndarray>value
+    if cnp.PyArray_TYPE(array) != cnp.NPY_DOUBLE or cnp.PyArray_NDIM(array) != len(shape):
+        return False
+    if not (cnp.PyArray_ISCARRAY_RO(array) or cnp.PyArray_ISFORTRAN(array)) or not cnp.PyArray_ISBEHAVED_RO(array):
+        return False
+    for k in range(len(shape)):
+        if cnp.PyArray_DIM(array, k) != <Py_ssize_t>shape[k]:
+            return False
+        size *= cnp.PyArray_DIM(array, k)
+    x = data(array)
+    for k in range(size):
+        if not isfinite(x[k]):
+            return False
+    for start in rotations:
+        if not is_rotation(x + <Py_ssize_t>start, ROUNDING):
+            return False
+    return True
 
-    def __reduce__(self):
-        return type(self), self.made_from
 
-    def __call__(self, jacobian, mass, least, most):
-        cdef Py_ssize_t n = self.n, m = self.m, i, j
-        cdef cnp.ndarray J = as_table(jacobian, m, n), M = as_table(mass, n, n)
-        cdef cnp.ndarray lower = as_plain(least, 2 * n), upper = as_plain(most, 2 * n), change, paid
-        cdef double size
-        for i in range(n):
-            for j in range(n):
-                self.rows[i * n + j] = entry(M, i, j)
-        for i in range(m):
-            for j in range(n):
-                self.rows[(n + i) * n + j] = entry(J, i, j)
-        for i in range(2 * n):
-            self.lower[i], self.upper[i] = data(lower)[i], data(upper)[i]
-        self.update(*self.arguments)
-        change, _, flag, info = self.solve()
-        if not (flag > 0 and isfinite(dot(data(change), data(change), n))):
-            return NO_ANSWER, change
-        paid = info["lam"]
-        size = dot(data(paid), data(paid), n)
-        return DONE if size < self.full_price * self.full_price else UNDECIDED, change
+cdef bint is_rotation(double* R, double tolerance) noexcept:
+    """Whether a matrix, row by row, is a rotation to rounding."""
+    cdef double off = 0.0, product
+    cdef Py_ssize_t i, j
+    for i in range(3):
+        for j in range(3):
+            product = R[i] * R[j] + R[3 + i] * R[3 + j] + R[6 + i] * R[6 + j]
+            off = max(off, fabs(product - (i == j)))
+    product = (
+        R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6])
+    )
+    return off <= tolerance and product > 0.0
 
 
 cdef class StateMonitor:
@@ -274,7 +199,6 @@ cdef class Curve:
 def flat_pose(cnp.ndarray array not None, double tolerance):
     cdef cnp.ndarray z = empty(12)
     cdef double *R = data(z) + 3
-    cdef double off = 0.0, product
     cdef Py_ssize_t i, j
     if plain(array, 12):
         for i in range(12):
@@ -288,14 +212,7 @@ def flat_pose(cnp.ndarray array not None, double tolerance):
                 R[3 * i + j] = entry(array, i, j)
     else:
         return None
-    for i in range(3):
-        for j in range(3):
-            product = R[i] * R[j] + R[3 + i] * R[3 + j] + R[6 + i] * R[6 + j]
-            off = max(off, fabs(product - (i == j)))
-    product = (
-        R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6])
-    )
-    return z if isfinite(dot(data(z), data(z), 12)) and off <= tolerance and product > 0.0 else None
+    return z if isfinite(dot(data(z), data(z), 12)) and is_rotation(R, tolerance) else None
 
 
 def pose_difference(z1, z0):

@@ -1,4 +1,4 @@
-"""Smaller kernels in NumPy: joint limits and harmonic curves; `parts` has them compiled."""
+"""Smaller kernels in NumPy: joint limits and harmonic curves; `limits` and `parts` have them compiled."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, TaskVector, Vector, as_floats, frozen_copy, vector
+from eos_pin._arrays import ORTHONORMAL, Array, TaskVector, Vector, as_floats, frozen_copy, is_rotation, vector
 from eos_pin._kernels.dispatch import use_compiled
 from eos_pin.errors import InputError
 
@@ -23,8 +23,6 @@ _IDENTITY = frozen_copy(np.eye(3))
 #: Where the entries of a flat pose, the position followed by the rotation matrix row by row, are in a flat homogeneous
 #: matrix.
 FLAT = np.array([3, 7, 11, 0, 1, 2, 4, 5, 6, 8, 9, 10])
-#: How far RᵀR may be from 1 in a rotation that is taken as it is.
-ORTHONORMAL = 1e-14
 
 
 @use_compiled
@@ -47,9 +45,7 @@ def flat_pose(array: Array, tolerance: float) -> Point | None:
         array = array.ravel()[FLAT]
     if array.shape != (12,) or not math.isfinite(array.dot(array)):
         return None
-    R = array[3:].reshape(3, 3)
-    straight = np.abs(R.T.dot(R) - _IDENTITY).max() <= tolerance and np.linalg.det(R) > 0.0
-    return array.copy() if straight else None
+    return array.copy() if is_rotation(array[3:].reshape(3, 3), tolerance) else None
 
 
 def flat_rotation(value: PointLike, name: str) -> Vector:

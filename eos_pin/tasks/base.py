@@ -93,6 +93,7 @@ class Task(Checked, ABC):
         kernel: Object that computes `value`, `linearize` and `at` in one call; None where the hooks do.
         is_vector: Whether `minus` is z1 − z0.
         is_curved: Whether the axes of dz turn from point to point, so that `tracking_acceleration` compares velocities.
+        rotations: Where rotation matrices, row by row, begin in z; None where only `point` tells which numbers are a z.
     """
 
     robot: Robot
@@ -108,6 +109,7 @@ class Task(Checked, ABC):
     kernel: Any = None
     is_vector: bool = True
     is_curved: bool = False
+    rotations: tuple[int, ...] | None = ()
     #: Whether the placements of all frames are computed before the hooks; the package's own tasks compute theirs.
     _needs_frames: bool = True
     #: Whether `value`, `linearize` and `at` are what the hooks give.
@@ -131,6 +133,7 @@ class Task(Checked, ABC):
         stands_for(cls, "_by_hooks", *_EVALUATIONS, off=False)
         stands_for(cls, "kernel", *hooks, *_EVALUATIONS)
         stands_for(cls, "is_vector", "minus", off=False)
+        stands_for(cls, "rotations", "point")
         stands_for(cls, "frame_parts", *hooks, *_EVALUATIONS, "minus", "plus", off=Task.frame_parts)
         if kind:
             cls.kind = kind

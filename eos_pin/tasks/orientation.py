@@ -27,6 +27,7 @@ class OrientationTask(FrameTask, kind="orientation"):
     """
 
     arguments = ("frame",)
+    rotations = (0,)
 
     @checked
     def __init__(self, robot: Robot, frame: str) -> None:
@@ -67,6 +68,7 @@ class PoseTask(FrameTask, kind="pose"):
 
     arguments = ("frame",)
     axes = "xyz"
+    rotations = (3,)
 
     @checked
     def __init__(self, robot: Robot, frame: str) -> None:

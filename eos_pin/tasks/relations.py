@@ -31,7 +31,7 @@ class RelativePoseTask(Task, kind="relative_pose"):
     """
 
     arguments = ("frame", "reference")
-    axes = "xyz"
+    axes, rotations = "xyz", (3,)
     _needs_frames = False
 
     @checked

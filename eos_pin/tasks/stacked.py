@@ -54,6 +54,10 @@ class StackedTask(Task, kind="stacked"):
         for task in tasks:
             self._slices.append((task, slice(point, point + task.size), slice(step, step + task.m)))
             point, step = point + task.size, step + task.m
+        if None not in (type(self).rotations, *(task.rotations for task in tasks)):
+            self.rotations = tuple(part.start + i for task, part, _ in self._slices for i in task.rotations or ())
+        else:
+            self.rotations = None
 
     def compute_point(self, data: pin.Data) -> Point:
         return np.concatenate([task.compute_point(data) for task in self.tasks])

@@ -6,6 +6,7 @@ import os
 import pickle
 import subprocess
 import sys
+import weakref
 from itertools import product
 
 import numpy as np
@@ -25,7 +26,7 @@ from eos_pin import (
     Track,
 )
 from eos_pin._kernels import tracing
-from eos_pin._kernels.dispatch import COMPILED, DONE, REFERENCES, UNDECIDED, kernels, use_compiled
+from eos_pin._kernels.dispatch import COMPILED, DONE, REFERENCES, UNDECIDED, WITH_PLAIN_FORMS, kernels, use_compiled
 from eos_pin._kernels.kinematics import MOST_NODES, SHORTEST
 from eos_pin.control import loop
 from eos_pin.control._regularize import AccelerationMap
@@ -79,7 +80,7 @@ def vectors(seed, count=STATES):
 def test_kernels_are_compiled_with_a_compiler():
     assert loop, _systems  # they choose kernels, and have been imported
     assert kernels is not None
-    assert set(REFERENCES) == set(COMPILED["law"] + COMPILED["parts"])
+    assert set(REFERENCES) == {name for module in WITH_PLAIN_FORMS for name in COMPILED[module]}
     assert set(vars(kernels)) == {name for names in COMPILED.values() for name in names}
 
 
@@ -125,6 +126,35 @@ def test_state_monitor_leaves_unusual_states_to_a_closer_look(q):
     for state in ((0.0, q, zero), (0.0, zero, q), (None, zero, zero), ("now", zero, zero)):
         assert watch.accepts(*state) is False
     assert kernels.within_limits_fast(q, np.ones(2)) is False
+
+
+def test_accepted_arguments_are_the_same_ones():
+    class Owner:
+        """An object with methods."""
+
+    owners, names, taken = [Owner() for _ in range(6)], ("self", "t", "q", "z", "flag", "rest"), 0
+    forms = both("Accepted", names)
+    for random, n in vectors(4):
+        owner, R = owners[random.integers(6)], pin.exp3(random.normal(size=3))
+        if random.random() < 0.3:
+            marks = {"self": None, "t": 0.0, "q": ((n, 2), ()), "z": ((10,), (1,)), "flag": bool}
+            for form in forms:
+                form.remember(weakref.ref(owner), marks)
+        q = random.choice([1.0, 1.0, 1.0, np.nan, np.inf]) * random.normal(size=(random.choice([n, n, n, 3]), 2))
+        q = (q, np.asfortranarray(q), q[::-1], q.astype(np.float32), q.tolist())[
+            random.choice([0, 0, 0, 1, 1, 2, 3, 4])
+        ]
+        z = np.append(random.normal(), R.ravel()) * random.choice([1.0, 1.0, 1.0, -1.0, 1.01])
+        t, flag = random.choice([1.5, 1.5, 1.5, -1.0, np.nan, np.inf]).item(), [True, True, True, 1][random.integers(4)]
+        for arguments in ((owner, t, q, z), (owner, t, q), (owner, t), (owner,), (), (owner, t, q, z, flag, 1, 2)):
+            for named in ({}, {"flag": flag}, {"rest": 1}, {"other": None}):
+                compiled, plain = (form(arguments, named) for form in forms)
+                assert compiled is plain
+                taken += compiled
+    assert taken > STATES
+    owner = owners.pop()
+    entry = pickle.loads(pickle.dumps(forms[0]))
+    assert not entry((owner,), {})
 
 
 def test_torque_checks_agree():
