@@ -341,6 +341,8 @@ def disturbed(number: int, seed: int, plans: tuple[Plan, Plan]) -> dict[str, Any
     found = plans[number % 2]
     task, clock = found.task, Clock()
     at, force = random.uniform(0.2, 1.0), random.normal(size=task.m) * 20.0
+    # Moments as of a push 5 cm beside the origin of the frame.
+    force[3:] *= 0.05
     pause, rest = random.uniform(1.0, 1.5), random.uniform(0.6, 1.0)
     clock.pause(pause)
     clock.resume(pause + rest, float(random.uniform(0.3, 1.2)))

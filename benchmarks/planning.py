@@ -5,6 +5,8 @@
   joints, by Pinocchio alone. Results are kept in the file of `--json` after each loop; a run that was stopped goes on.
 * `fourr`: Kazerounian and Wang's planar arm (1987), whose least ∫|dq/ds|² ds is known, from 20 seeds.
 * `iklink`: a path of 767 way points on which joints must jump; how few times.
+* `evidence`: on that path, whether fewer jumps than that could do.
+* `convergence`: the cost of plans of the same paths at more and more points, as a table and a figure.
 """
 
 from __future__ import annotations
@@ -18,11 +20,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import marked
 import numpy as np
 import pinocchio as pin
+from scipy.spatial import cKDTree
 
 from eos_pin import HeadingTask, PoseTask, PositionTask, load_robot
 from eos_pin.errors import EosError
+from eos_pin.planning.manifolds.manifold import self_motion_manifold
 from eos_pin.planning.planner import plan
 from eos_pin.planning.report import switches
 from eos_pin.robot.model import Robot
@@ -171,8 +176,8 @@ def integral(found: Any, factor: float) -> float:
     return total * factor
 
 
-def iklink(options: argparse.Namespace) -> int:
-    """A path on which joints must jump."""
+def recorded(options: argparse.Namespace) -> tuple[Robot, np.ndarray, list[pin.SE3]]:
+    """Robot, times and poses of IKLink's example."""
     robot = load_robot(options.urdf, chain_to="panda_hand")
     with options.path.open() as file:
         rows = np.array([[float(cell) for cell in row] for row in list(csv.reader(file))[1:]])
@@ -181,11 +186,58 @@ def iklink(options: argparse.Namespace) -> int:
         for row in rows
         for x, y, z, w in [row[4:8]]
     ]
+    return robot, rows[:, 0], points
+
+
+def evidence(options: argparse.Namespace) -> int:
+    """Whether joints can follow a path with one jump: how far from its start, and from where to its end, without any.
+
+    At each way point all arcs of the self-motion manifold within limits are nodes at even distances. A step leads from
+    node to node where each joint keeps its velocity limit, widened by the distance of nodes, so that whatever the robot
+    can do is among what is found. With one jump the way from the start has to reach where the way to the end begins.
+    """
+    robot, times, points = recorded(options)
+    task = PoseTask(robot, "panda_hand")
+    nodes: list[np.ndarray] = []
+    for k, pose in enumerate(points):
+        # Postures of the way point before lead to the same components here.
+        starts: np.ndarray | list[np.ndarray] = nodes[-1][:: max(1, len(nodes[-1]) // 12)] if k else []
+        manifold = self_motion_manifold(task, pose, starts=starts, seeds=options.starts, seed=options.seed + k)
+        nodes.append(np.concatenate([np.empty((0, robot.n)), *manifold.sampled(options.spacing)]))
+        if k % 50 == 0:
+            print(f"way point {k}: {len(nodes[-1])} nodes in {len(manifold.arcs)} arcs", flush=True)
+    longest = robot.velocity * np.diff(times)[:, None] + options.spacing
+
+    def end(layers: list[np.ndarray], bounds: np.ndarray) -> int:
+        """Last layer that a way without a jump from the first one reaches."""
+        alive = np.ones(len(layers[0]), bool)
+        for k, bound in enumerate(bounds):
+            if not alive.any():
+                return k - 1
+            near = cKDTree(layers[k][alive] / bound).query(layers[k + 1] / bound, p=np.inf)[0]
+            alive = near <= 1.0
+        return len(bounds) if alive.any() else len(bounds) - 1
+
+    last = end(nodes, longest)
+    first = len(points) - 1 - end(nodes[::-1], longest[::-1])
+    verdict = "one jump may do" if last + 1 >= first else "one jump cannot do"
+    print(
+        f"from the start joints go without a jump to way point {last} at most, to the end from way point {first} at "
+        f"the earliest: {verdict} (up to {max(map(len, nodes))} nodes, {options.spacing:g} rad apart)"
+    )
+    if options.json:
+        options.json.write_text(json.dumps({"last": last, "first": first, "spacing": options.spacing}) + "\n")
+    return 0
+
+
+def iklink(options: argparse.Namespace) -> int:
+    """A path on which joints must jump."""
+    robot, clock, points = recorded(options)
     began = time.perf_counter()
-    found = plan(PoseTask(robot, "panda_hand"), points, times=rows[:, 0], reconfigurations=True, margin=0.0)
+    found = plan(PoseTask(robot, "panda_hand"), points, times=clock, reconfigurations=True, margin=0.0)
     seconds = time.perf_counter() - began
     joints = found.at_waypoints()
-    longest = robot.velocity * np.diff(rows[:, 0])[:, None]
+    longest = robot.velocity * np.diff(clock)[:, None]
     step = np.abs(np.diff(joints, axis=0))
     jumps = np.flatnonzero((step > longest * (1.0 + 1e-9)).any(axis=1))
     motion = np.linalg.norm(np.diff(joints, axis=0), axis=1)
@@ -196,6 +248,40 @@ def iklink(options: argparse.Namespace) -> int:
         f"task error {found.info['task_error_max']:.1e}, {seconds:.2f} s"
     )
     return 0 if len(jumps) <= 2 and inside else 1
+
+
+def convergence(options: argparse.Namespace) -> int:
+    """Cost of plans against the number of way points, all of them on the loops of `loops`."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.0, 3.6), layout="constrained")
+    axes, worst, lines = figure.subplots(), 0.0, []
+    counts = [20 * 2**k for k in range(options.levels)]
+    for name, pose in (("panda", False), ("panda", True), ("xarm7", True), ("baxter", True)):
+        robot = load_robot(name, chain_to=ARMS[name] or "auto")
+        frame = robot.options["chain_to"]
+        task: Task = PoseTask(robot, frame) if pose else PositionTask(robot, frame)
+        own = random_loop(robot, np.random.default_rng(options.seed), counts[-1])
+        costs = []
+        for count in counts:
+            points = np.array([task.value(q) for q in own[:: counts[-1] // count]])
+            points = np.concatenate((points, points[:1]))
+            found = plan(task, points, times=np.linspace(0.0, 1.0, count + 1), closed=True, keep_time=False)
+            costs.append(integral(found, found.end - found.start))
+        label = f"{name}, {'pose' if pose else 'position'}"
+        lines.append([label, *(f"{cost:.6g}" for cost in costs)])
+        print(label, " ".join(lines[-1][1:]), flush=True)
+        off = np.abs(np.array(costs[:-1]) / costs[-1] - 1.0)
+        worst = max(worst, float(off[-1]))
+        axes.loglog(counts[:-1], off, "o-", label=label)
+    axes.set(xlabel="way points", ylabel=f"cost, relative to that of {counts[-1]} way points, less 1")
+    axes.legend(frameon=False)
+    if options.plot:
+        figure.savefig(options.plot)
+    if options.write:
+        columns = ["path", *(f"{count} points" for count in counts)]
+        marked.fill(marked.PLANNING, "convergence", "\n" + marked.table(columns, lines))
+    return 0 if worst < 0.01 else 1
 
 
 def main() -> int:
@@ -213,7 +299,16 @@ def main() -> int:
     three = commands.add_parser("iklink")
     three.add_argument("path", type=Path)
     three.add_argument("urdf", type=Path)
-    for command, function in ((one, loops), (two, fourr), (three, iklink)):
+    four = commands.add_parser("convergence")
+    four.add_argument("--levels", type=int, default=5)
+    four.add_argument("--plot", type=Path)
+    four.add_argument("--write", action="store_true", help="write the table into docs/planning.md")
+    five = commands.add_parser("evidence")
+    five.add_argument("path", type=Path)
+    five.add_argument("urdf", type=Path)
+    five.add_argument("--spacing", type=float, default=0.01)
+    five.add_argument("--starts", type=int, default=40)
+    for command, function in ((one, loops), (two, fourr), (three, iklink), (four, convergence), (five, evidence)):
         command.add_argument("--seed", type=int, default=0)
         command.add_argument("--json", type=Path)
         command.set_defaults(run=function)

@@ -15,9 +15,10 @@ from eos_pin.planning.advice import Change, Deadline, advice, changes_for, compo
 from eos_pin.planning.courses import Mended, broken_at, mended, prolonged
 from eos_pin.planning.grid import Grid
 from eos_pin.planning.problem import Problem, told
-from eos_pin.planning.refine import Course, refine, without_bounds
-from eos_pin.planning.search import Failure, Layers
+from eos_pin.planning.refine import ROUNDS, Course, refine, without_bounds
+from eos_pin.planning.search import Failure, Layers, Ticked
 from eos_pin.planning.whole import WholeLayers
+from eos_pin.trajectories.through import sampled
 
 #: Postures in a layer by redundancy; three and more have the last.
 POSTURES = (60, 100, 240, 120)
@@ -181,7 +182,9 @@ class Search:
         grid, problem = self.grid, self.problem
         rows = grid.rows(stride)
         dt, total = grid.dt_between(rows), 2 * len(rows)
-        whole = WholeLayers(problem, grid.Z[rows], dt, self.seed, lambda done: self.progress("search", done / total))
+        between = sampled(grid.path, grid.times[rows] + 0.5 * dt)
+        tick: Ticked = lambda done: self.progress("search", done / total)  # noqa: E731
+        whole = WholeLayers(problem, grid.Z[rows], dt, between, self.seed, tick)
         self._take(whole.ways(self.most), Course(problem, whole.Z, dt, True), rows, stride > 1)
         if whole.wound:
             self.notes.append(
@@ -211,6 +214,7 @@ class Search:
 
     def _take(self, ways: list[Array], coarse: Course, rows: Array, rough: bool) -> None:
         """Refine the best of some ways and keep it, if it is better than the best so far."""
+        raw = ways
         if not self.reconfigurations and rough:
             ways = [refine(without_bounds(coarse), way, rounds=ROUGH) for way in ways]
         least, tried = np.inf, list[Array]()
@@ -222,6 +226,8 @@ class Search:
                 continue
             tried.append(ways[i])
             found = self._finish(ways[i], rows)
+            if found is None and ways is not raw:
+                found = self._finish(raw[i], rows)
             if found is not None and (self.best is None or self.course.cost(found) < self.course.cost(self.best)):
                 self.best, least = found, min(least, costs[i])
         self.progress("refine", 1.0)
@@ -241,12 +247,15 @@ class Search:
                 self._note(result)
                 return None
             q = result.q
-        q = refine(course, q)
-        row = broken_at(self.problem.manifold, self.grid, q)
-        if row is not None:
-            self.notes.append(f"the joints would have to jump at {self.grid.called(row)}")
-            return None
-        return q
+        # Refined joints may jump where those before did not: from branch to branch, close to a singularity.
+        row: int | None = 0
+        for rounds in (ROUNDS, ROUGH, ()):
+            refined = refine(course, q, rounds=rounds)
+            row = broken_at(self.problem.manifold, self.grid, refined)
+            if row is None:
+                return refined
+        self.notes.append(f"the joints would have to jump at {self.grid.called(row or 0)}")
+        return None
 
     def _pieces(self, way: Array) -> Array:
         """A way with jumps, each piece between two of them refined by itself."""

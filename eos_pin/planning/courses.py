@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from eos_pin._arrays import Array
 from eos_pin.planning.grid import Grid
@@ -60,11 +60,17 @@ def broken_at(manifold: Manifold, grid: Grid, q: Float[Array, "L n"]) -> int | N
     """Point after which joints are not continuous: halfway to the next the path's joints are not near; None without."""
     following = np.roll(q, -1, axis=0) if grid.closed else q[1:]
     q, dt = q[: len(following)], grid.dt[: len(following)]
-    middle = 0.5 * (q + following)
-    on, found = manifold.project(middle.T, sampled(grid.path, grid.times[: len(q)] + 0.5 * dt).T, iterations=10)
-    off = np.abs(on.T - middle).max(axis=1)
-    wrong = ~found | (off > 0.3 * np.abs(following - q).max(axis=1) + 0.02)
+    middle = 0.5 * (q + following).T
+    on, found = manifold.project(middle, sampled(grid.path, grid.times[: len(q)] + 0.5 * dt).T, iterations=10)
+    wrong = ~is_near(on, found, middle, (following - q).T)
     return int(wrong.argmax()) if wrong.any() else None
+
+
+def is_near(
+    on: Float[Array, "n K"], found: Bool[Array, " K"], middle: Float[Array, "n K"], motion: Float[Array, "n K"]
+) -> Bool[Array, " K"]:
+    """Whether joints on the manifold are near the middle of a motion that was projected there."""
+    return found & (np.abs(on - middle).max(axis=0) <= 0.3 * np.abs(motion).max(axis=0) + 0.02)
 
 
 class Penalty(Barrier):
