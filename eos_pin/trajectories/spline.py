@@ -169,11 +169,8 @@ class RotationSpline(_SplineTrajectory):
     """
 
     def _target(self, p: Vector, dp: Vector, ddp: Vector) -> Target:
-        square = p.dot(p)
-        omega = _twice_vector(dp, p) / square
-        # The vector part of dp p̄ has the derivative ddp p̄, because that of dp times its own conjugate is zero.
-        alpha = _twice_vector(ddp, p) / square - (2.0 * p.dot(dp) / square) * omega
-        return Target(_matrix(p / np.sqrt(square)), omega, alpha)
+        R, omega, alpha = rotations_along(p[None], dp[None], ddp[None])
+        return Target(R[0], omega[0], alpha[0])
 
 
 @checked
@@ -193,7 +190,6 @@ def rotation_spline(
         InputError: No rotations, or so far apart that the curve between them is not clear.
     """
     from scipy.interpolate import CubicSpline
-    from scipy.spatial.transform import Rotation
 
     array = as_floats(listed(rotations, "rotations"), "the rotations of a path")
     if array.size != 9 * len(array):
@@ -202,10 +198,7 @@ def rotation_spline(
     R = flat.reshape(-1, 3, 3)
     if np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max() > 1e-6 or not (np.linalg.det(R) > 0.0).all():
         raise InputError("the rotations of a path must have orthonormal columns and determinant 1")
-    points = Rotation.from_matrix(R).as_quat()
-    # q and −q are the same rotation: each takes the sign that is nearer to the one before.
-    flips = np.where((points[1:] * points[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
-    points[1:] *= np.cumprod(flips)[:, None]
+    points = unrolled(flat)
     returns = float(points[0].dot(points[-1]))
     equal = abs(returns) > 1.0 - 1e-14
     if closed is None:
@@ -320,11 +313,31 @@ def _knots(points: Sequence[VectorLike] | Array, times: VectorLike) -> tuple[Arr
     return array, knots
 
 
-def _twice_vector(a: Array, b: Array) -> Array:
-    """Twice the vector part of the product of a and the conjugate of b, quaternions (x, y, z, w)."""
-    return 2.0 * (b[3] * a[:3] - a[3] * b[:3] - np.cross(a[:3], b[:3]))
+def unrolled(rotations: Float[Array, "K 9"]) -> Float[Array, "K 4"]:
+    """Quaternions (x, y, z, w) of rotation matrices; of q and −q, the same rotation, the one nearer to that before."""
+    from scipy.spatial.transform import Rotation
+
+    quaternions = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat()
+    flips = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    quaternions[1:] *= np.cumprod(flips)[:, None]
+    return quaternions
 
 
-def _matrix(quaternion: Array) -> Array:
-    """Rotation matrix of a quaternion (x, y, z, w) of length 1, row by row."""
-    return from_quaternions(quaternion[None, [3, 0, 1, 2]]).ravel()
+def rotations_along(p: Float[Array, "K 4"], dp: Float[Array, "K 4"], ddp: Float[Array, "K 4"]) -> tuple[Array, ...]:
+    """Rotation matrices row by row, angular velocities and accelerations, of quaternions (x, y, z, w) of any length.
+
+    Args:
+        p: Quaternions.
+        dp: Their rates.
+        ddp: The rates of these.
+    """
+    square, slope = (p * p).sum(axis=1)[:, None], (p * dp).sum(axis=1)[:, None]
+    omega = _twice_vector(dp, p) / square
+    # The vector part of dp p̄ has the derivative ddp p̄, because that of dp times its own conjugate is zero.
+    alpha = _twice_vector(ddp, p) / square - 2.0 * slope / square * omega
+    return from_quaternions(p[:, [3, 0, 1, 2]]).reshape(-1, 9), omega, alpha
+
+
+def _twice_vector(a: Float[Array, "K 4"], b: Float[Array, "K 4"]) -> Float[Array, "K 3"]:
+    """Twice the vector part of the product of a and the conjugate of b."""
+    return 2.0 * (b[:, 3:] * a[:, :3] - a[:, 3:] * b[:, :3] - np.cross(a[:, :3], b[:, :3]))

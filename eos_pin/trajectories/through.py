@@ -25,6 +25,7 @@ from eos_pin.tasks.stacked import StackedTask
 from eos_pin.tasks.tolerance import ToleranceTask
 from eos_pin.trajectories.base import Hold, Target, Trajectory
 from eos_pin.trajectories.harmonic import Harmonic, circle, figure_eight, line
+from eos_pin.trajectories.spline import rotations_along, unrolled
 from eos_pin.trajectories.stacked import StackedTrajectory
 from eos_pin.trajectories.waypoints import read_waypoints
 
@@ -119,7 +120,7 @@ class WaypointPath(Trajectory):
         for part, kind, (value, slope, bend) in self._channels:
             p, dp, ddp = value(inside), slope(inside), bend(inside)
             if kind == "rotation":
-                p, dp, ddp = _rotation(p, dp, ddp)
+                p, dp, ddp = rotations_along(p, dp, ddp)
             elif kind == "direction":
                 p, dp, ddp = _direction(p, dp, ddp)
             z[:, part] = p
@@ -257,37 +258,6 @@ def read_path(path: str | Path, task: Task, z: Array, *, closed: bool = False) -
     return waypoint_path(task, rows, table.t, closed=closed, names=names)
 
 
-def unrolled(rotations: Float[Array, "K 9"]) -> Float[Array, "K 4"]:
-    """Quaternions x, y, z, w of rotation matrices, each on the side of the one before."""
-    from scipy.spatial.transform import Rotation
-
-    quaternions = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat()
-    signs = np.sign((quaternions[1:] * quaternions[:-1]).sum(axis=1))
-    quaternions[1:] *= np.cumprod(np.where(signs == 0.0, 1.0, signs))[:, None]
-    return quaternions
-
-
-def _rotation(s: Array, ds: Array, dds: Array) -> tuple[Array, Array, Array]:
-    """Rotation matrices, angular velocities and accelerations of quaternions that need not have length 1."""
-    length = np.linalg.norm(s, axis=1)[:, None]
-    p = s / length
-    rate = (p * ds).sum(axis=1)[:, None]
-    dp = (ds - p * rate) / length
-    rate2 = (dp * ds).sum(axis=1)[:, None] + (p * dds).sum(axis=1)[:, None]
-    ddp = (dds - dp * rate - p * rate2) / length - dp * rate / length
-    x, y, z, w = p.T
-    R = np.stack(
-        (
-            1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
-            2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
-            2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
-        ),
-        axis=1,
-    )  # fmt: skip
-    # The angular velocity is the vector part of 2 ṗ p*, the acceleration that of 2 p̈ p*.
-    return R, _times_conjugate(dp, p), _times_conjugate(ddp, p)
-
-
 def _direction(s: Array, ds: Array, dds: Array) -> tuple[Array, Array, Array]:
     """Directions, velocities and accelerations of vectors that need not have length 1."""
     length = np.linalg.norm(s, axis=1)[:, None]
@@ -298,10 +268,6 @@ def _direction(s: Array, ds: Array, dds: Array) -> tuple[Array, Array, Array]:
     # Along a it is as a vector of constant length has it.
     dda -= a * ((a * dda).sum(axis=1) + (da * da).sum(axis=1))[:, None]
     return a, *_sphere.coordinates(a, da, dda)
-
-
-def _times_conjugate(a: Array, p: Array) -> Array:
-    return 2.0 * (p[:, 3:] * a[:, :3] - a[:, 3:] * p[:, :3] - np.cross(a[:, :3], p[:, :3]))
 
 
 def _lengths(steps: Float[Array, "K m"]) -> Array:
