@@ -31,6 +31,7 @@ cdef class KinematicStep(AccelerationMap):
         chart: Base point of the chart, (n,), and v less Vᵀ q, (r,).
         continuous: Which joints turn without end, (n,).
         turn, threshold: Angle from the base point, and margin, at which a chart is left.
+        serves: Whether the chart serves where the Jacobian is the argument, for where the margin's bound is too low.
         factors: Both factors of the task's errors, (m,) each.
         held: v_d that is held, and both factors of its errors, (r,) each; None where the law is another.
         objective, reference: Whose targets they are; the loop begins anew where the state has those of others.
@@ -42,7 +43,7 @@ cdef class KinematicStep(AccelerationMap):
     """
 
     cdef Chain chain
-    cdef object objective, reference
+    cdef object objective, reference, serves
     cdef double turn, threshold, period, jump, most_lag, solved, endless
     cdef double *q_bar
     cdef double *v_zero
@@ -59,8 +60,8 @@ cdef class KinematicStep(AccelerationMap):
     cdef readonly cnp.ndarray held
     cdef int most_steps
 
-    def __init__(self, drive, chain, chart, continuous, turn, threshold, factors, held, objective, reference, box,
-                 endless, period, jump, most_lag, solved, most_steps):
+    def __init__(self, drive, chain, chart, continuous, turn, threshold, serves, factors, held, objective, reference,
+                 box, endless, period, jump, most_lag, solved, most_steps):
         super().__init__(*drive)
         cdef int n = self.n, m = self.m, r = n - m
         rows = *chart, continuous, *factors, *(held or (np.zeros(r),) * 3), *box
@@ -77,7 +78,8 @@ cdef class KinematicStep(AccelerationMap):
             data(copies[8]), data(copies[9]), data(copies[10]), data(copies[11])
         )
         self.held = copies[5] if held else None
-        self.chain, self.turn, self.threshold, self.objective = chain, turn, threshold, objective
+        self.chain, self.turn, self.threshold, self.serves = chain, turn, threshold, serves
+        self.objective = objective
         self.reference, self.endless, self.period, self.jump = reference, endless, period, jump
         self.most_lag, self.solved, self.most_steps = most_lag, solved, most_steps
 
@@ -156,7 +158,9 @@ cdef class KinematicStep(AccelerationMap):
             if more is not None:
                 self.F[m + k] += data(more)[k]
         status, found, margin = <tuple>self.solve(u)
-        if status != DONE or not margin > self.threshold:
+        if status != DONE:
+            return None
+        if not margin > self.threshold and not self.serves(self.kept[2].reshape(m, n)):
             return None
         for j in range(n):
             total = u[j] + h * data(found)[j]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from eos_pin._kernels.dispatch import kernels
@@ -40,5 +41,6 @@ def compiled_step(
     law, held = self_motion.sampled_targets(on.since, settings[0], 0.0, chart.r), self_motion._held_law(chart.r)
     return kernels.KinematicStep(
         on.drive._made_from, kinematics._chain, (chart.q_bar, chart._v_zero), chart.task.robot.continuous, TURN,
-        atlas.threshold, factors, held and (held[2], *law.factors), law.of, reference, box.arrays, ENDLESS, *settings,
+        atlas.threshold, partial(atlas._serves, chart), factors, held and (held[2], *law.factors), law.of, reference,
+        box.arrays, ENDLESS, *settings,
     )  # fmt: skip

@@ -16,6 +16,7 @@ from eos_pin import (
     CoupledRobot,
     EosController,
     InputError,
+    KinematicLoop,
     MujocoPlant,
     PositionTask,
     Robot,
@@ -145,6 +146,18 @@ def test_limits_of_followers_are_carried_over() -> None:
     assert (only.lower, only.upper) == pytest.approx((-1.6, 1.4))
     assert (only.velocity, only.effort) == pytest.approx((0.5, 50.0))
     assert any("follows 'a'" in note for note in robot.notes)
+
+
+def test_kinematic_loop_keeps_the_limits_of_followers(robot: Robot) -> None:
+    task = PositionTask(robot, "l6")
+    for seed in range(3):
+        random = np.random.default_rng(seed)
+        far = circle(random.uniform(-1.0, 1.0, 3), radius=0.8, period=1.0)
+        loop, q = KinematicLoop(task, far, control_period=0.01), random.uniform(robot.lower, robot.upper)
+        for k in range(100):
+            q, dq = loop.step(0.01 * k, q)
+            assert np.abs(S @ q + OFFSET).max() <= 2.0
+            assert np.abs(S @ dq).max() <= 1.0 + 1e-12
 
 
 def test_follower_of_a_joint_that_stands_still_stands_still() -> None:
