@@ -9,11 +9,12 @@ from eos_pin._kernels._common cimport as_plain, as_table, data, dot, empty, entr
 
 import numpy as np
 
-from eos_pin._kernels import dispatch
+from eos_pin._kernels import dispatch, plain_parts
 
 cnp.import_array()
 
 cdef int DONE = dispatch.DONE, UNDECIDED = dispatch.UNDECIDED, NO_ANSWER = dispatch.NO_ANSWER
+cdef double FAST = plain_parts.FAST
 
 
 cdef class Limits:
@@ -95,18 +96,24 @@ cdef class Limits:
         for i in range(n):
             data(shift)[i] -= self.kept_to(i, data(mean)[i])
         change = self.smallest(J, M, below, above)
+        cdef double fast = 0.0
         part = 0.0
         for i in range(n):
             data(mean)[i] += data(change)[i]
+            fast = max(fast, self.rate * fabs(data(dq)[i]) / self.fastest[i] - FAST)
             data(speed)[i] = data(dq)[i] + half * (data(mean)[i] + data(shift)[i])
             data(middle)[i] = data(q)[i] + half * data(dq)[i] + quarter * (data(mean)[i] + data(shift)[i])
         tau = self.model._inverse_dynamics(middle, speed, mean)
         for i in range(n):
             part = max(part, fabs(data(tau)[i]) / self.torque[i])
-        if part > 1.0:
-            self.within(mean, tau, below, above)
+        if part > 1.0 or fast > 0.0:
             for i in range(n):
-                data(below)[i], data(above)[i] = min(data(below)[i], 0.0), max(data(above)[i], 0.0)
+                self.least[i], self.most[i] = min(self.least[i], data(mean)[i]), max(self.most[i], data(mean)[i])
+            if fast > 0.0:
+                more = self.held(q, dq, tau)
+                for i in range(n):
+                    data(mean)[i] += min(fast, 1.0) * (data(more)[i] - data(mean)[i])
+            self.within(mean, tau, below, above)
             M = self.model._mass(middle)
             more = self.smallest(J, M, below, above)
             for i in range(n):
@@ -115,6 +122,21 @@ cdef class Limits:
                     data(tau)[i] += entry(M, i, j) * data(more)[j]
                 data(tau)[i] = min(max(data(tau)[i], -self.torque[i]), self.torque[i])
         return tau, change
+
+    cdef cnp.ndarray held(self, cnp.ndarray q, cnp.ndarray dq, cnp.ndarray tau):
+        """Mean acceleration over a period in which a torque is held, by a step of Nyström's method."""
+        cdef Py_ssize_t n = self.n, i
+        cdef cnp.ndarray at, speed, last = self.model._forward_dynamics(q, dq, tau), mean = last / 6.0
+        cdef double step, weight
+        for step, weight in ((self.half, 1.0 / 3.0), (self.half, 1.0 / 3.0), (2.0 * self.half, 1.0 / 6.0)):
+            at, speed = empty(n), empty(n)
+            for i in range(n):
+                data(speed)[i] = data(dq)[i] + step * data(last)[i]
+                data(at)[i] = data(q)[i] + 0.5 * step * (data(dq)[i] + data(speed)[i])
+            last = self.model._forward_dynamics(at, speed, tau)
+            for i in range(n):
+                data(mean)[i] += weight * data(last)[i]
+        return mean
 
     cdef cnp.ndarray accelerations(self, cnp.ndarray M, cnp.ndarray bias, cnp.ndarray tau):
         """M⁻¹ (tau − bias)."""

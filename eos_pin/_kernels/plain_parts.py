@@ -17,6 +17,8 @@ from eos_pin._kernels.dispatch import DONE, NO_ANSWER, UNDECIDED
 #: Part of the way from the middle to each limit in which a posture is surely far from the limits; part of the
 #: acceleration allowed there that joint speed may take; and length of a way without limits [rad or m].
 INNER, SPEEDY, WIDE = 0.75, 0.3, 1e3
+#: From this part of its speed limit on a joint counts as fast: the middle of a period does not tell all of it then.
+FAST = 1.1
 
 
 class Viability:
@@ -161,12 +163,15 @@ class Limits:
         mean += change
         middle, speed = self._halfway(q, dq, mean + shift)
         tau = model._inverse_dynamics(middle, speed, mean)
-        if (np.abs(tau) > torque).any():
-            now, M = np.concatenate((mean, tau)), model._mass(middle)
-            least, most = lower - now, upper - now
+        fast = min(max(self._viability.rate * np.abs(dq / self._viability.fastest[:n]).max() - FAST, 0.0), 1.0)
+        if fast or (np.abs(tau) > torque).any():
             # Who gives way to whom is settled.
-            least[:n], most[:n] = np.minimum(least[:n], 0.0), np.maximum(most[:n], 0.0)
-            more = self._smallest(J, M, least, most)
+            least, most = np.minimum(least, mean), np.maximum(most, mean)
+            if fast:
+                mean += fast * (self._held(q, dq, tau) - mean)
+            M = model._mass(middle)
+            lower, upper = np.concatenate((least - mean, -torque - tau)), np.concatenate((most - mean, torque - tau))
+            more = self._smallest(J, M, lower, upper)
             tau, change = tau + M.dot(more), change + more
         # For rounding only.
         return np.minimum(np.maximum(tau, -torque), torque), change
@@ -176,6 +181,15 @@ class Limits:
         half = self._half
         speed = dq + half * ddq
         return q + 0.5 * half * (dq + speed), speed
+
+    def _held(self, q: JointVector, dq: JointVector, tau: JointVector) -> JointVector:
+        """Mean acceleration over a period in which a torque is held, by a step of Nyström's method."""
+        forward, half = self._model._forward_dynamics, self._half
+        a = forward(q, dq, tau)
+        b = forward(*self._halfway(q, dq, a), tau)
+        c = forward(*self._halfway(q, dq, b), tau)
+        d = forward(q + 2.0 * half * (dq + half * c), dq + 2.0 * half * c, tau)
+        return (a + 2.0 * (b + c) + d) / 6.0
 
 
 class ChangeProgram:
