@@ -8,13 +8,9 @@ were given up in part, for how long and why, and how many were not resumed altho
 was at the start. A few runs are repeated at shorter control periods: where the torque is
 continuous, the most it changes from one period to the next shrinks with the period.
 
-As many runs are made with a payload of up to three times what the arm is rated for, and with joints too weak for
-gravity somewhere. There limits are passed, and linear programs of their own judge each time a joint passes its limits,
-in every period from where it first left its bounds of acceleration:
-
-hopeless: no torques within limits keep the joint within its bounds. Hopeless joints brake with all they have.
-excluded: torques keep it, but none that keep all joints before it, in the order of `keeping_order`, that are kept.
-could be kept: neither; if that is so in all these periods, the controller is wrong.
+As many runs are made with payloads and joints too weak for gravity, where limits are passed: `weak_joints.py` judges
+each time they are, and compares how many joints are lost with how many must be. Where torques change most there, the
+way from one sample to the next is divided: a continuous torque has smaller steps then, whatever path a run takes.
 """
 
 from __future__ import annotations
@@ -24,25 +20,20 @@ import os
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 from joblib import Parallel, delayed
 from rich.progress import track
-from scipy.optimize import linprog
+from weak_joints import PARTS, WRONG, divided_steps, weak_figures, weak_one, weak_step
 
 from eos_pin import (
     EosError,
     Geodesic,
-    JointLimits,
     LimitedEosController,
     PoseTask,
     PositionTask,
     Result,
-    Robot,
     load_robot,
     simulate_sampled,
 )
@@ -56,14 +47,6 @@ OVER = 1e-6
 BACK, DURATION, OFF = 1.5, 3.0, 1e-2
 #: Control periods of runs that are repeated [s].
 PERIODS = (1e-3, 5e-4, 2.5e-4)
-#: Control period of runs with payloads and weak joints, whose multiples are exact [s].
-EXACT = 2.0**-10
-#: Robots that get payloads and weak joints, and what they are rated for [kg].
-RATED = {"panda": 3.0, "ur5": 5.0, "kinova": 2.6}
-#: A joint passes its limits beyond this, of position [rad] and of velocity, relative.
-POSITION, VELOCITY = 1e-5, 1e-3
-#: Verdict on a joint that passes limits that it could keep.
-WRONG = "could be kept"
 
 
 def example(seed: int, period: float = 1e-3, *, rate: float = 200.0) -> Result:
@@ -104,144 +87,35 @@ def one(seed: int) -> dict[str, float | str]:
     }
 
 
-def loaded(seed: int) -> tuple[Robot, str, np.random.Generator]:
-    """Robot with a payload and weak joints, its frame, and where its random numbers go on."""
-    random = np.random.default_rng((1, seed))
-    name = list(RATED)[seed % len(RATED)]
-    robot = load_robot(name, chain_to="auto")
-    frame = str(robot.options["chain_to"])
-    model = robot.model.copy()
-    placed = model.frames[robot.frame_id(frame)].placement
-    ball = pin.Inertia.FromSphere(RATED[name] * random.uniform(0.0, 3.0), 0.05)
-    model.inertias[model.njoints - 1] += placed.act(ball)
-    robot = replace(robot, model=model, source="", urdf_sha256="")
-    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
-    gravity = np.abs([robot.gravity(random.uniform(lower, upper)) for _ in range(200)]).max(axis=0)
-    weak = random.random(robot.n) < random.choice([0.0, 0.2, 0.5])
-    effort = np.where(weak, np.maximum(random.uniform(0.2, 1.2, robot.n) * gravity, 1.0), robot.effort)
-    model.effortLimit = np.minimum(effort, robot.effort)
-    return replace(robot, model=model), frame, random
-
-
-def weak_run(seed: int, period: float = EXACT) -> tuple[Result, LimitedEosController]:
-    """Run of a robot with a payload and weak joints, every control period of it."""
-    robot, frame, random = loaded(seed)
-    task = PositionTask(robot, frame)
-    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
-    q = lower + (upper - lower) * (0.02 + 0.96 * random.beta(0.8, 0.8, robot.n))
-    z = task.value(q)
-    step = random.normal(size=3)
-    step *= random.uniform(0.0, 0.7) / np.linalg.norm(step)
-    path = Geodesic(task, np.array([z, z + step, z]), np.array([0.0, 0.5 * BACK, BACK]))
-    controller = LimitedEosController(task, path, control_period=period)
-    run = simulate_sampled(robot, controller, q, duration=2.0, control_period=period, record_rate=1.0 / period)
-    return run, controller
-
-
-def verdict(robot: Robot, limits: JointLimits, order: Sequence[int], q: np.ndarray, dq: np.ndarray, joint: int) -> str:
-    """Whether a joint is hopeless, excluded or could be kept.
-
-    Args:
-        robot: The robot.
-        limits: Its limits.
-        order: Order in which joints are kept.
-        q: Joints.
-        dq: Joint velocities.
-        joint: The joint.
-    """
-    least, most = limits.accelerations(q, dq, EXACT)
-    inverse, bias = np.linalg.inv(robot.mass(q)), robot.bias(q, dq)
-    rest = inverse @ bias
-
-    def found(joints: list[int], torques: np.ndarray, room: np.ndarray) -> bool:
-        A = np.vstack((inverse[joints], -inverse[joints]))
-        b = np.concatenate(((most - room + rest)[joints], (-least - room - rest)[joints]))
-        return linprog(np.zeros(robot.n), A_ub=A, b_ub=b, bounds=torques).status == 0
-
-    torques, hopeless, none = np.column_stack((-limits.torque, limits.torque)), set(), np.zeros(robot.n)
-    reach = np.abs(inverse) @ limits.torque
-    for j in range(robot.n):
-        if least[j] > reach[j] - rest[j] or most[j] < -reach[j] - rest[j]:
-            hopeless.add(j)
-            torques[j] = limits.torque[j] * (1.0 if least[j] > reach[j] - rest[j] else -1.0)
-    if joint in hopeless:
-        return "hopeless"
-    kept: list[int] = []
-    for j in order:
-        if j == joint:
-            break
-        if j not in hopeless and found([*kept, j], torques, none):
-            kept.append(j)
-    # A period's mean acceleration is bounded, and the torque is held: a hair is left for what lies between.
-    room = np.where(np.arange(robot.n) == joint, np.minimum(0.1, 0.25 * (most - least)), 0.0)
-    return WRONG if found([*kept, joint], torques, room) else "excluded"
-
-
-def passed(result: Result, limits: JointLimits, robot: Robot, order: Sequence[int]) -> list[tuple[int, str, int]]:
-    """Joints that pass their limits, each time they do, with the first verdict that excuses it, and the row."""
-    found = []
-    # A sample is taken at the end of a period, with the torque held until then.
-    q, dq = result.q[:-1], result.dq[:-1]
-    ddq = np.array([robot.forward_dynamics(*row) for row in zip(q, dq, result.tau[1:], strict=True)])
-    bounds = [limits.accelerations(*row, EXACT) for row in zip(q, dq, strict=True)]
-    least, most = (np.array(side) for side in zip(*bounds, strict=True))
-    left = (ddq < least - 1e-3 * (1.0 + np.abs(ddq))) | (ddq > most + 1e-3 * (1.0 + np.abs(ddq)))
-    out = (q < limits.lower - POSITION) | (q > limits.upper + POSITION)
-    out |= np.abs(dq) > limits.velocity * (1.0 + VELOCITY)
-    # A joint that moves towards a limit faster than it may is on its way out.
-    way = np.where(dq > 0.0, limits.upper - q, q - limits.lower)
-    b, rate = limits.braking, 100.0
-    with np.errstate(invalid="ignore"):
-        fast = np.abs(dq) > np.sqrt(2.0 * b * np.maximum(way, 0.0) + (b / rate) ** 2) - b / rate + 1e-4
-    for j in range(robot.n):
-        begins = np.flatnonzero(np.diff(np.concatenate(([False], out[:, j]))).astype(bool) & out[:, j])
-        for k in begins:
-            first = k
-            while first > 0 and (left[first - 1, j] or fast[first - 1, j]):
-                first -= 1
-            told = (verdict(robot, limits, order, q[i], dq[i], j) for i in range(first, k + 1))
-            found.append((j, next((one for one in told if one != WRONG), WRONG), int(k)))
-    return found
-
-
-def weak_one(seed: int) -> dict[str, float | str]:
-    """What the run with a payload and weak joints did about its limits."""
-    try:
-        run, controller = weak_run(seed)
-    except EosError as error:
-        return dict.fromkeys(("torque", "passed", "hopeless", "excluded", "wrong"), 0.0) | {
-            "status": f"refused: {type(error).__name__}"
-        }
-    limits = controller.limits
-    found = passed(run, limits, controller.robot, controller.keeping_order)
-    verdicts = {j: {one for i, one, _ in found if i == j} for j, _, _ in found}
-    return {
-        "status": run.status,
-        "torque": float((np.abs(run.tau) / limits.torque).max()) if np.isfinite(run.tau).all() else np.inf,
-        "passed": len(verdicts),
-        "hopeless": sum("hopeless" in told for told in verdicts.values()),
-        "excluded": sum("excluded" in told for told in verdicts.values()),
-        "wrong": sum(WRONG in told for told in verdicts.values()),
-    }
-
-
 def largest_step(seed: int, period: float) -> float:
     """The most a torque changes from one period to the next, but where a chart is left [N m]."""
     found = example(seed, period, rate=1.0 / period)
     return float(np.abs(np.diff(found.tau, axis=0))[np.diff(found.chart) == 0].max())
 
 
-def main(*, count: int = 1000, repeated: int = 10, json: Path | None = None, jobs: int = 2) -> int:
-    """Run Panda at random through and near singularities and limits, and count what went wrong.
+def main(
+    *,
+    count: int = 1000,
+    weak: int | None = None,
+    first: int = 0,
+    repeated: int = 10,
+    json: Path | None = None,
+    jobs: int = 2,
+) -> int:
+    """Run arms at random through and near singularities and limits, and count what went wrong.
 
     Args:
-        count: Number of runs.
-        repeated: How many of them are repeated at shorter periods.
+        count: Number of runs of Panda.
+        weak: Number of runs with payloads and weak joints; by default as many.
+        first: Seed of the first run.
+        repeated: How many of both are repeated at shorter periods.
         json: File for the figures.
         jobs: Processes to use.
     """
     parallel = Parallel(n_jobs=jobs, return_as="generator")
-    found = list(track(parallel(delayed(one)(seed) for seed in range(count)), total=count, console=stderr))
+    found = list(
+        track(parallel(delayed(one)(seed) for seed in range(first, first + count)), total=count, console=stderr)
+    )
     keys = ("over", "torque", "speed", "given_up", "task", "limit", "off")
     over, torque, speed, lost, singular, limited, off = (
         np.array([row[key] for row in found], dtype=float) for key in keys
@@ -259,26 +133,30 @@ def main(*, count: int = 1000, repeated: int = 10, json: Path | None = None, job
         f"tasks more than {OFF:g} off {DURATION - BACK:g} s after the target is back": int((off > OFF).sum()),
         "farthest off then, m or rad": float(off.max()),
     }
-    weak = list(track(parallel(delayed(weak_one)(seed) for seed in range(count)), total=count, console=stderr))
-    figures |= {
-        "with payloads and weak joints: runs": count,
-        "torques not finite or beyond a limit then": sum(float(row["torque"]) > 1.0 + 1e-12 for row in weak),
-        "joints that passed their limits": sum(int(row["passed"]) for row in weak),
-        "of these, hopeless": sum(int(row["hopeless"]) for row in weak),
-        "of these, excluded by joints before them": sum(int(row["excluded"]) for row in weak),
-        "of these, that could keep them": sum(int(row["wrong"]) for row in weak),
-        "runs with any of these": sum(bool(row["wrong"]) for row in weak),
-    }
+    weak = count if weak is None else weak
+    seeds = range(first, first + weak)
+    runs = list(track(parallel(delayed(weak_one)(seed) for seed in seeds), total=weak, console=stderr))
+    figures |= weak_figures(runs)
     for status in sorted({str(row["status"]) for row in found}):
         figures[f"ended {status!r}"] = sum(row["status"] == status for row in found)
+    wild = [seed for seed, row in zip(seeds, runs, strict=True) if row.verdicts][:repeated]
     for period in PERIODS:
-        steps = parallel(delayed(largest_step)(seed, period) for seed in range(min(repeated, count)))
-        figures[f"largest step of the torque at {1e3 * period:g} ms, median, N m"] = float(np.median(list(steps)))
+        ms = f"at {1e3 * period:g} ms, median, N m"
+        if count and repeated:
+            steps = parallel(delayed(largest_step)(seed, period) for seed in range(first, first + min(repeated, count)))
+            figures[f"largest step of the torque {ms}"] = float(np.median(list(steps)))
+        if wild:
+            steps = parallel(delayed(weak_step)(seed, period / PERIODS[0]) for seed in wild)
+            figures[f"with weak joints, where limits were passed, {ms}"] = float(np.median(list(steps)))
+    if wild:
+        divided = np.array(list(parallel(delayed(divided_steps)(seed) for seed in wild)))
+        for parts, steps in zip(PARTS, divided.T, strict=True):
+            figures[f"the same, the way between samples in {parts} parts"] = float(np.median(steps))
     console.print(grid("Panda at its limits", ("what", "figure"), list(figures.items())))
     if json is not None:
         write_json(json, figures)
-    wrong = (torque > 1.0 + 1e-12).any() or (over > OVER).any() or any(row["wrong"] for row in weak)
-    return 1 if wrong or any(float(row["torque"]) > 1.0 + 1e-12 for row in weak) else 0
+    wrong = (torque > 1.0 + 1e-12).any() or (over > OVER).any()
+    return 1 if wrong or any(row.torque > 1.0 + 1e-12 or WRONG in row.verdicts.values() for row in runs) else 0
 
 
 if __name__ == "__main__":

@@ -3,8 +3,12 @@
 Torques are bounded. As long as some torques keep all joints within their bounds of acceleration, the program finds
 them. Where none do, joints are lost by a fixed rule. A joint that no torques at all keep within its bounds is hopeless:
 it brakes with all the torque it has. Of the others, one after the other in a fixed order is kept if torques keep it and
-all that are kept before it. So a joint is lost only if it is hopeless, or joints before it exclude it. A lost joint
-asks nothing of the others, but their help ends gently, so that the torque is continuous.
+all that are kept before it. So a joint is lost only if it is hopeless, or joints before it exclude it.
+
+No continuous torque can drop a joint at once: where it can just be kept it takes all help, and where it just cannot,
+none. So the others go on helping a lost joint, up to where it lacks twice the least that it must lack. In this band
+its help may still exclude joints after it. It is short: where the joint lacks twice the least, that grows e-fold in the
+time in which joints close in on their limits, 10 ms.
 """
 
 from __future__ import annotations
@@ -32,9 +36,13 @@ LIMIT_PRICE, LIMIT_WEIGHT = 1e8, 1e5
 #: Price of the limits of a joint while it is asked whether it can be kept, and of braking torque that a lost joint does
 #: not use, for unit inertia.
 ASKING_PRICE, BRAKING_PRICE = 1e6, 1e5
-#: Others help a lost joint until it lacks one part in so many of what they could do for it, so that help ends gently;
-#: and parts of its torque limit that it lacks by which it brakes with all it has.
-FADE, SHARP = 3.0, 1.0
+#: Part of its prices that the task keeps where a joint is lost: at the full price it would use every weak coupling
+#: through the lost joint, and reverse torques where such a coupling changes its sign.
+MODEST = 0.1
+#: Others help a lost joint while it would lack more than this, and one, times the least that it must lack: the more,
+#: the sooner help ends, and the steeper torques are. And parts of its torque limit that it lacks by which it brakes
+#: with all it has.
+FADE, SHARP = 1.0, 1.0
 #: Room for rounding in a bound that is settled [rad/s² or m/s²], and how exactly daqp keeps it.
 HAIR, EXACT = 1e-8, 1e-12
 #: How daqp is told that a limit may be passed at a price, and how close to zero is zero for the task [m/s² or rad/s²].
@@ -70,9 +78,9 @@ class SmallestChange:
         self._settled = np.repeat(np.array((HARD, HARD, SOFT), dtype=np.intc), sizes)
         self._rows, self._upper = np.ones((n + m, n)), np.full(2 * n + m, ZERO)
         self._lower = -self._upper
-        prices = np.repeat((LIMIT_PRICE, 0.0, TASK_PRICE), sizes)
-        per_weight = np.repeat((1.0 / LIMIT_WEIGHT, 0.0, 1.0 / TASK_WEIGHT), sizes)
-        model, self._last = (self._made(2 * n + m, prices, per_weight) for _ in range(2))
+        self._prices = np.repeat((LIMIT_PRICE, 0.0, TASK_PRICE), sizes)
+        self._per_weight = np.repeat((1.0 / LIMIT_WEIGHT, 0.0, 1.0 / TASK_WEIGHT), sizes)
+        model, self._last = (self._made(2 * n + m, self._prices, self._per_weight) for _ in range(2))
         # Nobody pays the full price of a limit unless it is passed.
         self.program = ChangeProgram(model, self._rows, self._upper, self._lower, self._kinds, LIMIT_PRICE)
         self._stage = self._made(2 * n, np.full(2 * n, ASKING_PRICE), np.full(2 * n, 1.0 / LIMIT_WEIGHT))
@@ -151,6 +159,9 @@ class SmallestChange:
             below[j] -= HAIR
             above[j] += HAIR
         self._lower[: 2 * n], self._upper[: 2 * n] = below, above
+        part = 1.0 - (1.0 - MODEST) * np.abs(push * inertia).max() / BRAKING_PRICE
+        per_weight, prices = self._per_weight / part, self._prices * part
+        self._last.soft_weights(per_weight, per_weight, prices, prices)
         self._last.update(f=-M.dot(push), A=self._rows, bupper=self._upper, blower=self._lower, sense=self._settled)
         found, _, flag, _ = self._last.solve()
         return found if flag > 0 and math.isfinite(found.dot(found)) else change

@@ -276,8 +276,10 @@ class LimitedEosController(EosController):
     Where no torques keep all limits, joints are lost by a fixed rule. Hopeless joints, which no torques at all keep
     within the bounds of `JointLimits.accelerations`, brake with all the torque they have. The others are kept one after
     the other in the order `keeping_order`, where that is possible together with those before: so a joint too weak for
-    what it carries takes no stronger one along. `overload` tells beforehand where gravity takes more torque than there
-    is.
+    what it carries takes no stronger one along. Lost joints brake with what is left. So that the torque is continuous,
+    a joint lost just now is still helped while it would lack more than twice the least acceleration that it must lack;
+    in this short time it may exclude joints after it. `overload` tells beforehand where gravity takes more torque than
+    there is.
 
     A target may lead out of reach and come back; the task is then taken up again. But the law is local: an arm that
     went through a singularity meanwhile, or began near one, may have come to where joint limits bar every way that

@@ -1,0 +1,181 @@
+"""Joints too weak for what they carry: who is kept, who brakes, and that nothing else is taken along."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from eos_pin import (
+    Hold,
+    JointLimits,
+    LimitedEosController,
+    PositionTask,
+    Result,
+    Robot,
+    gravity_overload,
+    load_robot,
+    simulate_sampled,
+)
+from eos_pin._kernels.dispatch import REFERENCES
+from eos_pin.control._smallest_change import SmallestChange
+
+REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
+PERIOD = 1e-3
+
+
+def with_plain_limits(controller: LimitedEosController) -> LimitedEosController:
+    """The same controller with the plain form of the kernel that keeps its limits."""
+    controller.__dict__["_within"] = REFERENCES["Limits"](*controller._within.__reduce__()[1])
+    return controller
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_joints_are_lost_only_if_hopeless_or_excluded_by_joints_before_them(seed):
+    """Linear programs of their own decide who is kept, in the order that is given."""
+    random = np.random.default_rng(seed)
+    n = 4
+    root = random.normal(size=(n, n))
+    J, M = random.normal(size=(2, n)), root @ root.T + 0.2 * np.eye(n)
+    torque = np.diag(M) * random.exponential(10.0, n)
+    now, middle = random.uniform(-1.0, 1.0, n) * torque, random.normal(size=n) * random.choice([5.0, 20.0])
+    lower = np.concatenate((middle - random.exponential(10.0, n), -torque - now))
+    upper = np.concatenate((middle + random.exponential(10.0, n), torque - now))
+    order, W = [int(j) for j in random.permutation(n)], np.linalg.inv(M)
+    change = SmallestChange(2, n, order)(J, M, lower, upper)
+    effort = M @ change
+    assert (effort <= upper[n:] + 1e-6 * (1.0 + torque)).all()
+    assert (effort >= lower[n:] - 1e-6 * (1.0 + torque)).all()
+    box = np.column_stack((lower[n:], upper[n:]))
+
+    def possible(joints: list[int], room: float = 1e-3) -> bool:
+        A = np.vstack((W[joints], -W[joints]))
+        b = np.concatenate((upper[joints], -lower[joints])) - room
+        return linprog(np.zeros(n), A_ub=A, b_ub=b, bounds=box).status == 0
+
+    kept: list[int] = []
+    hopeless = [j for j in range(n) if not possible([j], 0.0)]
+    reach = W * box[:, 0], W * box[:, 1]
+    most, least = np.maximum(*reach).sum(axis=1), np.minimum(*reach).sum(axis=1)
+    for j in hopeless:
+        side = 1 if most[j] < lower[j] else 0
+        if max(lower[j] - most[j], least[j] - upper[j]) * M[j, j] > 1.1 * torque[j]:
+            # Braking with all it has; those that are hopeless by a hair are on the way there.
+            np.testing.assert_allclose(effort[j], box[j, side], atol=1e-6 * (1.0 + torque[j]))
+        box[j] = box[j, side]
+    for j in order:
+        if j in hopeless or not possible([*kept, j]):
+            # The help that a lost joint still gets, lest the torque jump, may exclude joints after it.
+            return
+        kept.append(j)
+        assert lower[j] - 1e-3 <= change[j] <= upper[j] + 1e-3
+
+
+def lift_arm(shoulder: float) -> Robot:
+    """Strong lift that carries an arm whose shoulder has so much torque, but needs 31 N m."""
+    joints = (("lift", "prismatic", "0 0 1", 0.4, 8000.0, 0.06), ("shoulder", "revolute", "0 1 0", 1.4, shoulder, 2.0))
+    joints += (("elbow", "revolute", "0 1 0", 2.2, 40.0, 3.0),)
+    links, parent = ["<link name='base'/>"], "base"
+    for (name, kind, axis, room, effort, speed), mass, out in zip(
+        joints, (40.0, 6.0, 3.0), ("0 0 0", "0 0 0", "0.45 0 0"), strict=True
+    ):
+        lever = 0.0 if name == "lift" else 0.2
+        links.append(
+            f"<link name='{name}_link'><inertial><origin xyz='{lever} 0 0'/><mass value='{mass}'/>"
+            "<inertia ixx='0.05' iyy='0.05' izz='0.05' ixy='0' ixz='0' iyz='0'/></inertial></link>"
+            f"<joint name='{name}' type='{kind}'><parent link='{parent}'/><child link='{name}_link'/><origin "
+            f"xyz='{out}'/><axis xyz='{axis}'/><limit lower='{-room}' upper='{room}' effort='{effort}' "
+            f"velocity='{speed}'/></joint>"
+        )
+        parent = f"{name}_link"
+    tip = (
+        "<link name='tip'/><joint name='tip' type='fixed'><parent link='elbow_link'/><child link='tip'/>"
+        "<origin xyz='0.3 0 0'/></joint>"
+    )
+    model = pin.buildModelFromXML(f"<robot name='lift_arm'>{''.join(links)}{tip}</robot>")
+    return Robot(model=model, name="lift_arm")
+
+
+WEAK = np.array([0.1, 0.1, -0.9])
+
+
+def weak_run(period: float, compiled: bool) -> Result:
+    """The lift, and an arm that cannot hold itself, at rest at first."""
+    robot = lift_arm(11.0)
+    task = PositionTask(robot, "tip", "xz")
+    controller = LimitedEosController(task, Hold(task.value(WEAK)), control_period=period)
+    if not compiled:
+        with_plain_limits(controller)
+    return simulate_sampled(robot, controller, WEAK, duration=1.5, control_period=period, record_rate=1.0 / period)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("compiled", [True, False])
+def test_joint_too_weak_for_gravity_takes_no_other_along(compiled: bool) -> None:
+    robot, run = lift_arm(11.0), weak_run(1e-3, compiled)
+    others = [0, 2]
+    assert (run.q[:, others] <= robot.upper[others] + 1e-5).all()
+    assert (run.q[:, others] >= robot.lower[others] - 1e-5).all()
+    assert (np.abs(run.dq[:, others]) <= robot.velocity[others] * (1.0 + 1e-3)).all()
+    assert (np.abs(run.tau) <= robot.effort).all()
+    # The shoulder falls, and brakes with all it has.
+    over = np.abs(run.q[:, 1]) > robot.upper[1]
+    falls = over & (run.q[:, 1] * run.dq[:, 1] > 0.1)
+    assert falls.sum() > 10
+    np.testing.assert_allclose(np.abs(run.tau[falls, 1]), 11.0)
+    assert run.status == "degraded"
+    assert "'shoulder' passed its position limit by" in run.message
+    assert "as its torque of 11 N m was used up (gravity took up to" in run.message
+    assert "'lift'" not in run.message
+    assert "'elbow'" not in run.message
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_torque_is_continuous_where_a_joint_is_too_weak() -> None:
+    coarse, fine = (np.abs(np.diff(weak_run(period, True).tau, axis=0)).max() for period in (5e-4, 2.5e-4))
+    assert fine < 0.6 * coarse
+
+
+def test_gravity_overload_names_joints_that_cannot_hold_themselves(panda: Robot) -> None:
+    robot = lift_arm(11.0)
+    (note,) = gravity_overload(robot, WEAK)
+    assert note.startswith("gravity takes ")
+    assert "'shoulder' at the start, and its limit is 11 N m" in note
+    (note,) = gravity_overload(robot)
+    assert "'shoulder' in postures within the position limits" in note
+    assert gravity_overload(robot, WEAK, np.full(3, 1e4)) == ()
+    assert gravity_overload(panda, REST) == ()
+    task = PositionTask(robot, "tip", "xz")
+    controller = LimitedEosController(
+        task, Hold(task.value(WEAK)), limits=JointLimits.from_robot(robot, torque=[9e3, 90.0, 2.0])
+    )
+    assert "'elbow'" in controller.overload(WEAK)[0]
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("compiled", [True, False])
+def test_joints_keep_their_bounds_beside_one_that_spins(compiled: bool) -> None:
+    robot = load_robot("kinova", chain_to="auto")
+    task, torque = PositionTask(robot, str(robot.options["chain_to"])), robot.effort.copy()
+    torque[4] = 5.0
+    limits = JointLimits.from_robot(robot, torque=torque)
+    lower, upper = np.maximum(robot.lower, -np.pi) + 0.5, np.minimum(robot.upper, np.pi) - 0.5
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        q, dq = random.uniform(lower, upper), 0.99 * robot.velocity * random.uniform(-1.0, 1.0, 6)
+        dq[4] = random.choice([-10.0, 10.0]) * robot.velocity[4]
+        controller = LimitedEosController(task, Hold(task.value(q)), limits=limits, control_period=PERIOD)
+        if not compiled:
+            with_plain_limits(controller)
+        tau, _ = controller._within(q, dq, np.zeros(6), task.at(q, dq).J)
+        # The torque is held, and the motion found in small steps.
+        x, v, h = q, dq, PERIOD / 50
+        for _ in range(50):
+            middle = v + 0.5 * h * robot.forward_dynamics(x, v, tau)
+            x, v = x + h * middle, v + h * robot.forward_dynamics(x + 0.5 * h * v, middle, tau)
+        least, most = limits.accelerations(q, dq, PERIOD)
+        over = np.maximum((v - dq) / PERIOD - most, least - (v - dq) / PERIOD)
+        assert np.delete(over, 4).max() < 0.05
