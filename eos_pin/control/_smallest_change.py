@@ -148,7 +148,8 @@ class SmallestChange:
             found, _, flag, info = self._stage.solve()
             kinds[j] = HARD
             if flag > 0:
-                change, known = self._corner(found, info["lam"], j, below, above), True
+                info["lam"][j] = 0.0
+                change, known = self._on_bounds(found, info["lam"], below, above), True
             # What it lacks, and which way.
             lack = max(least[j] - change[j], change[j] - most[j], 0.0)
             if lack > 0.0:
@@ -163,18 +164,17 @@ class SmallestChange:
         per_weight, prices = self._per_weight / part, self._prices * part
         self._last.soft_weights(per_weight, per_weight, prices, prices)
         self._last.update(f=-M.dot(push), A=self._rows, bupper=self._upper, blower=self._lower, sense=self._settled)
-        found, _, flag, _ = self._last.solve()
-        return found if flag > 0 and math.isfinite(found.dot(found)) else change
+        found, _, flag, info = self._last.solve()
+        if not (flag > 0 and math.isfinite(found.dot(found))):
+            return change
+        return self._on_bounds(found, info["lam"][: 2 * n], below, above)
 
-    def _corner(self, found: JointVector, lam: Vector, j: int, below: Vector, above: Vector) -> JointVector:
-        """The same change with less rounding, where limits alone determine it."""
-        n = found.size
+    def _on_bounds(self, found: JointVector, lam: Vector, below: Vector, above: Vector) -> JointVector:
+        """The same change with less rounding: exactly on the bounds that are active."""
         active = np.flatnonzero(lam)
-        active = active[active != j]
-        if active.size != n:
-            return found
-        rows = np.concatenate((np.eye(n), self._rows[:n]))[active]
-        return np.linalg.solve(rows, np.where(lam > 0.0, above, below)[active])
+        rows = np.concatenate((np.eye(found.size), self._rows[: found.size]))[active]
+        off = np.where(lam > 0.0, above, below)[active] - rows.dot(found)
+        return found + np.linalg.lstsq(rows, off, rcond=None)[0]
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The workspace is made anew where it is unpickled.
