@@ -34,7 +34,7 @@ class UnknownNameError(InputError, KeyError):
     """Unknown name of a robot, frame, joint or setting.
 
     Attributes:
-        kind: What the name should have named, such as `"frame"`.
+        kind: Kind of thing that the name stands for, such as `"frame"`.
         name: The name that was given.
         available: All names that would have been accepted.
     """
@@ -111,7 +111,7 @@ class PlanError(EosError):
         waypoint: Number of the last way point that was reached; None where that has no meaning.
         reached: Part of the path that was reached, from 0 to 1.
         stopped: Whether a person stopped the search.
-        info: What else is known, in plain values.
+        info: Further facts, in plain values.
     """
 
     info: Mapping[str, object] = {}

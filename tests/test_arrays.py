@@ -33,7 +33,7 @@ def test_vector_takes_any_finite_numbers(values):
 
 
 @pytest.mark.parametrize("value", [1, True, Fraction(1), Decimal(1), np.int8(1), np.float32(1), 1.0])
-def test_every_kind_of_real_number_is_a_number(value, unchecked):
+def test_real_numbers_of_every_kind_are_numbers(value, unchecked):
     assert number(value, "x") == 1.0
     assert type(number(value, "x")) is float
     np.testing.assert_array_equal(vector([value, value], 2, "x"), [1.0, 1.0])

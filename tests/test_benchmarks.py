@@ -135,7 +135,7 @@ def test_page_that_is_kept_has_every_peer() -> None:
     assert [peer.name for peer in peers.PEERS.values() if f"| {peer.name} |" not in text] == []
 
 
-def test_each_peer_has_a_worker() -> None:
+def test_peers_have_workers() -> None:
     scripts = {path.name for path in peers.WORKERS.glob("with_*.py")}
     own = {"with_eos_pin.py", "with_pinocchio.py", *(peer.worker.name for peer in peers.OTHERS.values())}
     assert scripts == own | {peer.worker.name for peer in peers.PEERS.values()}

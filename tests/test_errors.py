@@ -29,7 +29,7 @@ EXAMPLES += [kind("something was wrong") for kind in CLASSES if kind not in map(
 
 
 @pytest.mark.parametrize("kind", CLASSES)
-def test_one_except_catches_all(kind):
+def test_errors_are_all_caught_by_one_except(kind):
     assert issubclass(kind, EosError)
     assert kind.__doc__
 

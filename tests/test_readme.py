@@ -34,7 +34,7 @@ def test_map_names_every_room_and_existing_modules() -> None:
             assert list((package / room).glob(f"{module}.*")), f"{room}/{module} is on the map, but not in the package"
 
 
-def test_every_command_and_link_exists() -> None:
+def test_commands_and_links_exist() -> None:
     for command in set(re.findall(r"`eos-pin (\w+)", README)):
         with pytest.raises(SystemExit) as stop:
             main([command, "--help"])

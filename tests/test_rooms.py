@@ -113,7 +113,7 @@ def test_modules_of_a_room_form_no_cycle():
         visit(module)
 
 
-def test_few_arrows_run_between_rooms():
+def test_arrows_between_rooms_are_few():
     home = PACKAGE.parent
     files = [
         *PATHS,
@@ -126,7 +126,7 @@ def test_few_arrows_run_between_rooms():
     assert len(found) <= MOST_ARROWS, f"{len(found)} pairs of rooms import each other's modules: {sorted(found)}"
 
 
-def test_nothing_but_scripts_imports_the_paper_room():
+def test_paper_room_is_imported_by_scripts_only():
     for module, path in MODULES.items():
         if not module.startswith("paper"):
             assert not [name for name, _ in inside(path) if name.startswith("paper")], module

@@ -51,7 +51,7 @@ except SystemExit:
     assert loaded(code) == {"numpy", "tyro", "rich"}
 
 
-def test_every_public_name_is_there():
+def test_public_names_are_there():
     import eos_pin
 
     assert sorted(eos_pin.__all__) == sorted(set(eos_pin.__all__))
@@ -63,7 +63,7 @@ def test_every_public_name_is_there():
 
 
 @pytest.mark.parametrize("room", sorted(path.parent.name for path in PACKAGE.glob("*/__init__.pyi")))
-def test_every_public_name_of_a_room_is_there(room):
+def test_public_names_of_rooms_are_there(room):
     module = importlib.import_module(f"eos_pin.{room}")
     assert module.__all__
     assert all(hasattr(module, name) for name in module.__all__)

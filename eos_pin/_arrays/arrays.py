@@ -136,7 +136,7 @@ def vector(values: VectorLike | float, size: int | None, name: str) -> Vector:
     Args:
         values: Numbers of any real type.
         size: Required length, or None for any.
-        name: What the vector is, for the error message.
+        name: Name of the vector in the error message.
 
     Raises:
         InputError: Not numbers, wrong length, or not finite.

@@ -92,7 +92,7 @@ cdef class KinematicStep(AccelerationMap):
             measured: Measured joints.
             target, target_ahead: Task points asked for now and a period later.
             asked: Acceleration asked of v, (r,); None where v is held.
-            more: What is asked of v besides, (r,), or None.
+            more: Further acceleration asked of v, (r,), or None.
             v_d, objective: Target of the self-motion, and whose it is, for the next step; not where v is held.
         """
         cdef int n = self.n, m = self.m, r = n - m, i, j, k

@@ -32,11 +32,11 @@ cdef class Frame:
     """`plain_law.Frame`.
 
     Args:
-        model, workspace: What Pinocchio computes with.
+        model, workspace: Pinocchio model and its workspace.
         index: Number of the frame.
         part: Which numbers of the flat pose are the task point.
         rows: Which rows of velocities, accelerations and the Jacobian are the task's.
-        point_type: What `at` returns its tuple as.
+        point_type: Class of the tuple that `at` returns.
     """
 
     cdef object model, workspace, index, rest, point_type
@@ -236,8 +236,8 @@ cdef class TrackingLaw(AccelerationMap):
 
         Args:
             joints, velocities: State of the robot.
-            z_d, dz, ddz: What the task should do.
-            self_motion: What is asked of the self-motion beside this law, (r,), or None.
+            z_d, dz, ddz: Target of the task.
+            self_motion: Acceleration asked of the self-motion beside this law, (r,), or None.
         """
         cdef Py_ssize_t n = self.n, m = self.m, r = n - m, i, j
         cdef cnp.ndarray q = as_plain(joints, n), dq = as_plain(velocities, n), dz_d = as_plain(dz, m)

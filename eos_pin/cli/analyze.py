@@ -34,8 +34,8 @@ def analyze(
         log: Table (.csv) with a column t [s] and one for each joint by its name [rad or m]; q_NAME and dq_NAME, the
             columns of `eos-pin track --csv` and of `rehearse --log`, will do. Or the folder of a bag of ROS 2.
         robot: Which robot moved.
-        task: What counts.
-        output: What to keep.
+        task: Task whose motion counts.
+        output: Results to keep.
         period: Time of one round [s]; by default it is found.
         joints: Names that the log has for the joints, in the robot's order; by default the robot's own.
         degrees: Angles are in degrees.

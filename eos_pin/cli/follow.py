@@ -26,7 +26,7 @@ class Planned:
 
     Attributes:
         task: Its task.
-        path: What the task follows.
+        path: Path of the task.
         law: Law of the self-motion.
         q: Joints at the start.
         dq: Their velocities.

@@ -49,8 +49,8 @@ def ik(
 
     Args:
         robot: Which robot.
-        task: What the robot must do; q0 is where v is 0 and the search starts.
-        output: What to keep.
+        task: Task of the robot; at q0 v is 0 and the search starts.
+        output: Results to keep.
         to: Task point; by default that at q0. As many numbers as the task has axes, such as x y z [m]; for a pose x y z
             (the orientation stays), x y z roll pitch yaw [rad], x y z qx qy qz qw, or x y z and the rotation matrix row
             by row; for an orientation these without x y z. In a CSV file the names of the columns say which is which.

@@ -37,7 +37,7 @@ class Findings:
         task: The task, None where it does not fit the robot.
         z: Task point at the start.
         sigma: Singular values of G' at the start.
-        cannot: What cannot be done, by `"task"`, `"chart"`, `"dynamics"` and `"path"`, and why.
+        cannot: Abilities that are missing, by `"task"`, `"chart"`, `"dynamics"` and `"path"`, and why.
     """
 
     q: JointVector

@@ -112,8 +112,8 @@ def progress(
         robot: The robot that moves.
         q: Joints at the start.
         duration: Length of the run [s].
-        title: What runs.
-        scene: What there is to see; just the robot by default.
+        title: Name of the run.
+        scene: Scene to show; just the robot by default.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:g} s"))
     with Progress(*columns, TimeElapsedColumn(), console=stderr, transient=True) as progress:
@@ -172,10 +172,10 @@ def write_outputs(
     """Write every file that is asked for.
 
     Args:
-        output: What is asked for.
+        output: Results that are asked for.
         result: The run.
         robot: The robot that moved; without it there is no replay.
-        figures: What goes into the JSON; by default the run's summary.
+        figures: Contents of the JSON; by default the run's summary.
         obstacles: Solids in the replay.
         plot: Figure to save; by default the overview of the run.
         title: Heading of the replay; by default robot and task.

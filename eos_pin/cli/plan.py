@@ -95,7 +95,7 @@ class Obstructed:
         clearance: Least distance [m].
         margin: Room that is kept from joint limits [rad or m].
         joint_step: Longest step of a joint from one way point to the next [rad or m].
-        cost: What else counts beside joint motion, each with its weight or 1, such as limits=0.5 torque=2: posture
+        cost: Costs beside that of joint motion, each with its weight or 1, such as limits=0.5 torque=2: posture
             (near to --start, or to zero), limits, clearance, manipulability, torque (of gravity), energy (motion
             weighed by inertia).
         start: Joints to begin at, n numbers [rad or m].
@@ -205,11 +205,11 @@ def plan(
 
     Args:
         robot: Which robot.
-        task: What the robot must do.
+        task: Task of the robot.
         path: Where the task should go.
         within: Obstacles and files to keep.
         time: The time of the motion.
-        output: What to keep.
+        output: Results to keep.
         save: File for the plan (.npz), which `eos-pin track --plan` follows.
 
     For example:

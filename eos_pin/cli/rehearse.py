@@ -58,7 +58,7 @@ def rehearse(
 
     Args:
         robot: Which robot.
-        task: What the robot must do.
+        task: Task of the robot.
         path: Where it should go.
         control: How it is controlled.
         loop: How the loop runs.

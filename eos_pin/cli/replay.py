@@ -33,7 +33,7 @@ def replay(run: tyro.conf.Positional[Path], output: Output = Output(), robot: st
 
     Args:
         run: The .npz file that `eos-pin track` wrote.
-        output: What to make of it; by default it is shown in the browser.
+        output: Outputs to make; by default it is shown in the browser.
         robot: URDF file or name of the robot, where that of the run has moved. Only replays need it.
 
     For example:

@@ -54,12 +54,12 @@ class SweepAxes:
     """Settings that differ from run to run: each takes one value or several, with commas between.
 
     Attributes:
-        task: What counts: position, pose, orientation, heading or com.
+        task: Kind of task: position, pose, orientation, heading or com.
         path: eight, circle, line, hold, or CSV files.
         size: Half width or radius [m]; by default as large as the robot can follow.
         period: Time of one round [s]; by default as short as the joints' velocity limits allow, from 4 s.
         controller: eos, eos-limited, or a traditional one; see `eos-pin track --help`.
-        self_motion: What the self-motion does: hold, posture, damp, energy or free.
+        self_motion: Objective of the self-motion: hold, posture, damp, energy or free.
         swing: Amplitude of a sine that v's first coordinate follows [rad or m].
         kp: Gain on the task error [1/s²].
         kd: Gain on the task's velocity error [1/s].
@@ -102,7 +102,7 @@ class SweepFixed:
         gravity: Acceleration of gravity [m/s²].
         cycles: Rounds to run.
         duration: Length of the runs [s], instead of rounds.
-        plant: What moves the robot: our own equations of motion, or MuJoCo.
+        plant: Simulator: our own equations of motion, or MuJoCo.
         torque_limits: Clip torques at the robot's limits.
     """
 
@@ -146,7 +146,7 @@ def sweep(
 
     Args:
         robot: Names or paths of URDF files.
-        swept: What differs from run to run.
+        swept: Settings that differ from run to run.
         same: Settings that are the same in all runs.
         kept: Files to keep.
         seeds: Runs of each combination, with seeds 0, 1, …

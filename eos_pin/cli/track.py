@@ -53,11 +53,11 @@ def track(
 
     Args:
         robot: Which robot.
-        task: What the robot must do.
+        task: Task of the robot.
         path: Where it should go.
         control: How it is controlled.
         simulation: How it is simulated.
-        output: What to keep.
+        output: Results to keep.
         plan: Plan to follow (.npz), made by `eos-pin plan` for this robot; it has its own task and path.
         scene: File of solids to show in the replay, as `eos-pin plan` has it; the robot does not avoid them by itself.
 
@@ -129,10 +129,10 @@ def compare(
 
     Args:
         robot: Which robot.
-        task: What the robot must do.
+        task: Task of the robot.
         path: Where it should go.
         simulation: How it is simulated.
-        output: What to keep.
+        output: Results to keep.
         controllers: Which controllers, the first one in the replay.
 
     For example:

@@ -48,7 +48,7 @@ class EosController(TaskController):
     Args:
         task: The task.
         reference: Trajectory of the task.
-        self_motion: What the self-motion should do; by default hold v at its value at the start.
+        self_motion: Objective of the self-motion; by default to hold v at its value at the start.
         kp: Gain on the task error, one number or (m,) [1/s²].
         kd: Gain on the task's velocity error, one number or (m,) [1/s].
         feedforward: Whether dz and ddz of the reference are used.

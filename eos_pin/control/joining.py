@@ -62,7 +62,7 @@ class Journey:
         plan: The plan.
         joining: Motion from where the robot stands to the start of the plan; None where it is there.
         seconds: Time until the plan begins [s].
-        path: What the task follows: the way there, and then the path of the plan from its start.
+        path: Path of the task: the way there, and then the path of the plan from its start.
         joints: Joints over time: the same.
         clock: Pace of the plan; it begins at rest where there is a way there.
     """

@@ -289,8 +289,8 @@ class LimitedEosController(EosController):
     Args:
         task: The task.
         reference: Trajectory of the task.
-        self_motion: What the self-motion should do; by default hold v at its value at the start.
-        limits: What to keep; by default the limits of the task's robot.
+        self_motion: Objective of the self-motion; by default to hold v at its value at the start.
+        limits: Limits to keep; by default those of the task's robot.
         control_period: Control period [s]; `simulate_sampled` takes it from here.
         kp: Gain on the task error, one number or (m,) [1/s²].
         kd: Gain on the task's velocity error, one number or (m,) [1/s].

@@ -62,7 +62,7 @@ class ControlLoop:
             measured one; by default that which holds the robot against gravity, as the controller knows it.
 
     Attributes:
-        memory: What the controller remembers: the chart it is on.
+        memory: Memory of the controller: the chart it is on.
         saturated: Whether the last torque was cut.
         slowed: Whether the last torque was held back by `torque_rate`.
 

@@ -285,7 +285,7 @@ class ReduceKineticEnergy(Objective):
         robot: Robot whose energy counts.
         gain: Factor of the gradient; the paper's is 1.
         gradient: `"velocity"` takes ∇T = ∂T/∂dq = M dq, which damps; `"configuration"` takes ∂T/∂q, the other reading
-            of the paper, which does not.
+            of the paper, which does not damp.
     """
 
     robot: Robot

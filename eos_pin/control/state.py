@@ -27,11 +27,11 @@ class EosState:
     """State of `EosController` between calls.
 
     Attributes:
-        drive: What turns the law into joint accelerations on the chart it is on.
+        drive: Map from the law to joint accelerations on the chart it is on.
         number: How many charts came before it.
         law: The law and `drive` in one, compiled, where there is that.
         since: Time from which the chart is used [s].
-        carried: What the self-motion acceleration lacked then to that on the chart before, (r,); None on the first.
+        carried: Difference of the self-motion acceleration then from that on the chart before, (r,); None on the first.
         made_of: Stands for the gains and targets that `drive` and `law` were made of.
     """
 

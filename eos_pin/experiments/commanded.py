@@ -34,7 +34,7 @@ def commanded_loop(
     Args:
         control: How it is controlled.
         task: The task.
-        reference: What it follows.
+        reference: Reference that it follows.
         q: Joints at the start.
         period: Control period [s].
         law: Law of the self-motion, where it is made already.

@@ -118,7 +118,7 @@ def fitting_path(
     Args:
         task: The task; the path runs in its coordinates of length, and holds its orientation.
         q: Joints at the start.
-        shape: What it looks like.
+        shape: Shape of the path.
         size: Half width or radius [m].
         plane: Plane, such as `"yz"`; one axis for a line.
         period: Time of one round [s].
@@ -193,7 +193,7 @@ def make_task(
 
     Args:
         robot: The robot.
-        kind: What counts. On a planar robot a position has two coordinates, a pose two and the heading.
+        kind: Kind of task. On a planar robot a position has two coordinates, a pose two and the heading.
         frame: Frame that does the task; by default the one `default_frame` names.
         axes: Axes of a position, a centre of mass or a planar pose; by default as many as the joints can move it along.
         tool_axis: Axis of the frame whose direction counts for `axis` and `point-axis`, such as `"-z"` or `"0 0 1"`.

@@ -83,7 +83,7 @@ class TaskOptions:
     """Task of the robot.
 
     Attributes:
-        task: What counts: position, pose (with orientation), point-axis (position and the direction of the tool's axis,
+        task: Kind: position, pose (with orientation), point-axis (position and the direction of the tool's axis,
             free to turn about it), axis, orientation, heading (planar robots), or centre of mass.
         axes: Axes that count, such as xy; by default all along which the frame can move.
         q0: Joints at the start [rad or m]: all in order, or some by name, such as panda_joint4=-2; by default, and for
@@ -166,7 +166,7 @@ class ControlOptions:
     Attributes:
         controller: EOS computed torque, the same within joint and torque limits (sampled runs), or a traditional
             controller to compare with.
-        self_motion: What the self-motion does: hold v, draw the joints to the start posture, damp, lower the kinetic
+        self_motion: Objective of the self-motion: hold v, draw the joints to the start posture, damp, lower the kinetic
             energy, be left free, or follow a plan that is made first.
         v: Self-motion to hold, r numbers [rad or m]; by default where it is at the start.
         swing: Amplitude of a sine of the path's period that v's first coordinate follows [rad or m].
@@ -261,7 +261,7 @@ class RunOptions:
     """How it is simulated.
 
     Attributes:
-        plant: What moves the robot: our own equations of motion, or MuJoCo (pip install 'eos-pin[mujoco]'), which runs
+        plant: Simulator: our own equations of motion, or MuJoCo (pip install 'eos-pin[mujoco]'), which runs
             sampled, at 1000 Hz unless said otherwise.
         control_rate: Run sampled at this many control periods per second, with held torques; continuous by default
         [Hz].

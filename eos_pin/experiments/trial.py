@@ -75,7 +75,7 @@ class Trial:
 
     Attributes:
         robot: Which robot.
-        task: What the robot must do.
+        task: Task of the robot.
         path: Where it should go.
         control: How it is controlled.
         simulation: How it is simulated.
@@ -161,7 +161,7 @@ def trials(kind: type[Trial] = Trial, /, **settings: Any) -> list[Trial]:
     """Every combination of settings: a list, range or array is swept, anything else is the same in all runs.
 
     Args:
-        kind: What to make of each combination.
+        kind: Kind of run for each combination.
         **settings: Settings as in `Trial.from_settings`; `robot` must be among them.
 
     Raises:

@@ -34,9 +34,9 @@ class Claim:
 
     Attributes:
         section: Where the paper makes it.
-        statement: What is claimed.
-        value: What was measured; not a number where the runs do not tell.
-        bound: What it is compared with.
+        statement: The claim.
+        value: Measured value; not a number where the runs do not decide.
+        bound: Value that it is compared with.
         at_least: Whether the value must reach the bound instead of staying below it.
         unit: Unit of both.
         digits: Significant digits that come out the same on every machine; with 0 only the bound does.
@@ -194,7 +194,7 @@ def obstacles_cleared(name: str, figures: Mapping[str, Any]) -> list[Claim]:
 
     Args:
         name: Key of `APPLICATIONS`.
-        figures: What `Application.figures` found.
+        figures: Result of `Application.figures`.
     """
     least = figures["clearance_min_between_points"]
     return [

@@ -134,7 +134,7 @@ class Example:
 
     Attributes:
         section: Where the paper has it.
-        title: What it shows.
+        title: Title of the figure.
         experiments: Its runs by name, the one to look at first. Controllers have the names they have everywhere.
     """
 
@@ -286,7 +286,7 @@ def kinetic_energy(
     Args:
         cycles: Rounds to run.
         gravity: Whether the robot stands upright.
-        gradient: What ∇T means: the paper does not say. `"velocity"`, M dq, damps and gives the paper's figure;
+        gradient: Meaning of ∇T, which the paper leaves open: `"velocity"`, M dq, damps and gives the paper's figure;
             `"configuration"`, ∂T/∂q, drives EOS control out of every chart.
         gain: Factor of the gradient, in both laws; 1 in the paper.
         rtol: Tolerance of the integrator.

@@ -146,7 +146,7 @@ def panda(*, task: Literal["pose", "position"] = "pose", margin: float = 0.15, c
     A pose leaves r = 1, a position r = 4. Distances are those of the arm's own collision meshes.
 
     Args:
-        task: What the hand must keep.
+        task: Task that the hand must keep.
         margin: Distance below which the ball repels [m].
         cycles: Rounds of the path.
     """

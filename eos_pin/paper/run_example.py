@@ -35,9 +35,9 @@ def run_example(
 
     Args:
         example: The example; its first run is the one that replay, samples and live view show.
-        output: What to keep.
-        claims: What the paper says about these runs; a claim that they do not tell is left out.
-        rows: What the figure shows of the runs.
+        output: Results to keep.
+        claims: Claims of the paper about these runs; one that they do not decide is left out.
+        rows: Quantities of the runs that the figure shows.
 
     Returns:
         0; 1 if the first run ended early or a claim fails.

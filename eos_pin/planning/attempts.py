@@ -45,7 +45,7 @@ class Attempt:
         stride: Every how many points of the path there is a layer.
         count: Postures in a layer.
         bounded: Whether bounds of steps are kept by the search already.
-        seed: What is added to the seed.
+        seed: Number added to the seed.
     """
 
     stride: int
@@ -58,7 +58,7 @@ class Search:
     """Attempts, the best joints so far, and where the attempts ended.
 
     Args:
-        problem: What is allowed and what it costs.
+        problem: The problem: limits and costs.
         grid: Points of the path.
         step: Longest step of each joint from each point to the next, (L, n); None without a bound.
         ends: Joints at the start and at the end; None for any.

@@ -26,7 +26,7 @@ class Mended(NamedTuple):
 
     Attributes:
         q: Joints, (L, n); None where they could not be mended.
-        reason: What remains, in words.
+        reason: Constraint that is broken still, in words.
         row: Where it is worst.
     """
 
@@ -78,7 +78,7 @@ class Penalty(Barrier):
 
     Args:
         course: The problem.
-        share: What the cost counts.
+        share: Weight of the cost.
     """
 
     def __init__(self, course: Course, share: float) -> None:

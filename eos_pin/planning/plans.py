@@ -43,12 +43,12 @@ class Plan:
 
     Attributes:
         task: The task.
-        path: What it follows.
+        path: Path that it follows.
         times: Times of the knots [s], (K,); of a closed plan the last knot is the first again.
         q: Joints there, (K, n).
         closed: Whether it repeats.
         status: `"planned"`, or `"interrupted"` where better joints may have been found later.
-        info: What is known about it, in plain values.
+        info: Facts about the plan, in plain values.
         jumps: Numbers of the knots after which the joints jump.
     """
 

@@ -36,7 +36,7 @@ class Bar(NamedTuple):
     """Causes that exclude postures.
 
     Attributes:
-        reason: What it is, in words.
+        reason: The reason in words.
         postures: How many of the postures.
         joint: Number of the joint whose limit it is, if any.
         below: Whether it is the lower limit.

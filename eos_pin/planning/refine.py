@@ -36,7 +36,7 @@ class Course:
     """A problem at the points of a path.
 
     Attributes:
-        problem: What is allowed and what it costs.
+        problem: The problem: limits and costs.
         Z: Task points, (L, size).
         dt: Time from each point to the next, (L,); of an open path the last counts for nothing.
         closed: Whether the last point leads to the first.

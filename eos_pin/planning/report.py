@@ -27,7 +27,7 @@ def figures(
     Args:
         plan: The plan.
         grid: The points it was planned at.
-        problem: What was allowed.
+        problem: The problem that was solved.
         seconds: Time that planning took.
         jumps: Points after which the joints jump.
         seed: Seed of the search.

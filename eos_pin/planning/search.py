@@ -39,7 +39,7 @@ class Failure:
     Attributes:
         layer: Last layer that was reached.
         reached: Postures that were reached there.
-        bars: What barred their continuations.
+        bars: Reasons why their continuations ended.
         solutions: Postures that are allowed at the next layer, found anew.
     """
 
@@ -54,7 +54,7 @@ class Layers:
     """Postures at the points of a path, and the steps between them.
 
     Attributes:
-        problem: What is allowed.
+        problem: The problem: limits and costs.
         Z: Task points of the layers, (L, size); of a closed path the last is not the first again.
         dt: Time from each layer to the next, (L,); of an open path the last counts for nothing.
         closed: Whether the last layer leads to the first.
@@ -318,7 +318,7 @@ def connected(
     """Whether postures of one task point are connected: halfway between them there is one, which is allowed.
 
     Args:
-        problem: What is allowed.
+        problem: The problem: limits and costs.
         a: Postures, (n, K).
         b: As many others.
         z: Task point.

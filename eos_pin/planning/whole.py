@@ -42,7 +42,7 @@ class WholeLayers:
     """Whole manifolds at the points of a closed path, and the steps between their postures.
 
     Attributes:
-        problem: What is allowed; one joint is redundant.
+        problem: The problem; one joint is redundant.
         Z: Task points of the layers, (L, size).
         dt: Time from each layer to the next, (L,).
         between: Task points halfway from each layer to the next, (L, size).

@@ -162,7 +162,7 @@ def sweep(rows: Sequence[Mapping[str, Any]], over: Sequence[str]) -> Figure:
     the most values; numbers come before words.
 
     Args:
-        rows: What `eos_pin.sweep` returned.
+        rows: Rows that `eos_pin.sweep` returned.
         over: Names of the settings that differ from run to run, besides the seed.
     """
     if not rows:

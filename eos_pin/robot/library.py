@@ -27,7 +27,7 @@ class NamedRobot:
     Attributes:
         name: The name to load it by.
         path: Its URDF file.
-        description: What it is, or the package it comes from.
+        description: Kind of robot, or the package it comes from.
     """
 
     name: str

@@ -56,9 +56,9 @@ class Robot(Angles):
         source: Where it was loaded from, in a form `load_robot` takes; empty if built in memory.
         options: The arguments of `load_robot` beside `source`, so that a saved run can find its robot again.
         urdf_sha256: Hash of the URDF text; empty if built in memory.
-        notes: What loading changed, could not find or found odd, in sentences for people.
+        notes: Changes, missing parts and oddities found when it was loaded, in sentences for people.
         mimics: The joint that each joint should follow, by the name of the follower; only in a `CoupledRobot` it does.
-        shapes: What has its visual and its collision geometry, read when first asked for; None without shapes.
+        shapes: Its visual and collision geometry, read when first asked for; None without shapes.
 
     Raises:
         RobotError: No joints, a joint with other than one degree of freedom, or branches numbered in a mixed order;

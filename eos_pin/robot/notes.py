@@ -26,7 +26,7 @@ class Notes:
 
         Args:
             sentence: The sentence; `@` stands for what it is about.
-            name: What it is about, such as a joint.
+            name: Subject of the note, such as a joint.
         """
         names = self._named.setdefault(sentence, [])
         if name and name not in names:

@@ -19,7 +19,7 @@ def in_order(values: JointsLike, names: Iterable[str], rest: JointVector, name: 
         values: All of them in order, or some by the name of the joint.
         names: Names of the joints.
         rest: Values of the joints that are not named, (n,).
-        name: What the values are, for the error message.
+        name: Name of the values in the error message.
 
     Raises:
         InputError: Not numbers, another count, or not finite.
@@ -40,7 +40,7 @@ def by_name(words: Sequence[str], name: str) -> dict[str, float | None]:
 
     Args:
         words: The words, as the command line has them.
-        name: What they are, for the error message.
+        name: Their name in the error message.
 
     Raises:
         InputError: A value is no number, or a joint is there twice.

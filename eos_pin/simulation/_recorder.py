@@ -288,7 +288,7 @@ def joint_run(
         v: Self-motion coordinates, if there are charts.
         chart: Number of the chart at each time.
         period: Period of the path [s].
-        status: What the run is where there is a message.
+        status: Status of the run where there is a message.
         message: Why it ends early, or what is wrong with it; empty otherwise.
         info: Provenance beside that of robot and task.
         columns: Further columns of the `Result`, each zero by default.
@@ -345,7 +345,7 @@ def check_run(n: int, samples: int, duration: float, path: Trajectory | None) ->
         n: Number of joints.
         samples: Samples that are kept.
         duration: Length of the run [s].
-        path: What is followed, if there is a path.
+        path: Path that is followed, if there is one.
 
     Raises:
         InputError: It says what to do.

@@ -46,7 +46,7 @@ def use_of_limits(
     has one limit only, or a range of 0, it is 1 and the distance beyond the limit [rad or m] where it is passed.
 
     Args:
-        limits: What `limits_of` gave; empty where nothing is known.
+        limits: Result of `limits_of`; empty where nothing is known.
         q: Joints [rad or m].
         dq: Joint velocities [rad/s or m/s].
         tau: Joint torques [N m or N].

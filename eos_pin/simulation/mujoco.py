@@ -36,7 +36,7 @@ class MujocoPlant(Robot):
     have no stops, and friction and damping of the URDF are left out.
 
     Attributes:
-        integrator: What steps it in a sampled run: RK4 of order 4, Euler (semi-implicit) of order 1, or one of the two
+        integrator: Integrator of a sampled run: RK4 of order 4, Euler (semi-implicit) of order 1, or one of the two
             that are implicit in the velocity.
 
     Raises:

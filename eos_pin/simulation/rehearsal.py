@@ -29,7 +29,7 @@ class MujocoConnection(Connection):
     Args:
         plant: The robot.
         q: Joints at the start, (n,) or some by name.
-        command: What it is commanded by.
+        command: Kind of command that it takes.
         control_period: Time from one state to the next [s].
         compensates_gravity: Whether it adds the torque of gravity itself.
         real_time: Whether it waits for the clock; without, each period takes no longer than its computation, and no

@@ -210,7 +210,7 @@ class Task(Checked, ABC):
         """Placement of a frame in the world, for hooks.
 
         Args:
-            data: What the hook was given.
+            data: Argument of the hook.
             frame: Number of the frame, from `robot.frame_id(name)`.
         """
         return pin.updateFramePlacement(self._model, data, frame)

@@ -54,11 +54,11 @@ def check_reach(task: Task, z: Float[Array, "K size"], name: str, lines: Sequenc
     Args:
         task: The task.
         z: Task points, or their first coordinates.
-        name: What has the points, for the error message.
+        name: Source of the points, for the error message.
         lines: Lines of the points in the file `name`, for the error message.
 
     Raises:
-        InputError: A point is out of reach; it guesses the unit.
+        InputError: A point is out of reach. The message guesses the unit of the points.
     """
     for rows, center, radius in balls(task):
         points = z[:, rows]

@@ -56,7 +56,7 @@ class JointTask(Task, kind="joints"):
         return TaskPoint(self._A.dot(q), self._A.copy(), self._A.dot(dq), np.zeros(self.m))
 
     def compute_point(self, data: pin.Data) -> Point:
-        raise NotImplementedError("a JointTask is computed from the joints, by value, linearize and at")
+        raise NotImplementedError("a JointTask needs no hooks: call value, linearize or at")
 
     def compute_jacobian(self, data: pin.Data) -> Jacobian:
         return self._A.copy()

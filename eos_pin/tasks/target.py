@@ -56,7 +56,7 @@ class Trajectory(ABC):
         period: Time after which it repeats [s]; infinite if it does not.
         duration: Time after which it rests [s]; infinite if it never does.
         begin: Time until which it rests [s].
-        notes: What was chosen or changed when it was made from a file, in sentences for people.
+        notes: Choices and changes made when it was read from a file, in sentences for people.
         constant: The point of a trajectory that never moves; None for any other.
         waves: The same targets as sums of sines and cosines, see `Waves`; None where they are none.
     """
@@ -102,7 +102,7 @@ class Hold(Trajectory):
             if self.m != int(number(self.m, "m, the dimension of the task,", at_least=0.0)):
                 raise InputError(f"m, the dimension of the task, must be a whole number, got {self.m!r}")
             if m not in (None, self.m):
-                raise InputError(f"the point to hold is a matrix for a task of dimension {m}, got m={self.m}")
+                raise InputError(f"the point to hold has the form of a task of dimension {m}, but m={self.m} is given")
         object.__setattr__(self, "z", frozen_copy(z))
         object.__setattr__(self, "m", m if self.m is None else int(self.m))
         rest = frozen_copy(np.zeros(z.size if self.m is None else self.m))

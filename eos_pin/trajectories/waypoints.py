@@ -121,7 +121,7 @@ def pose_numbers(
 
     Args:
         values: The numbers.
-        name: What they are, for the error message.
+        name: Their name in the error message.
         lines: Lines of the rows in the file `name`, for the error message.
 
     Raises:

@@ -61,7 +61,7 @@ class Server:
 
         Args:
             kind: Kind of message.
-            message: What to send.
+            message: Message to send.
             final: Whether it must not be skipped; messages of other kinds before it are no longer of interest.
         """
         if not self._closed:

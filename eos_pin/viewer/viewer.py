@@ -47,7 +47,7 @@ def write_html(
 
     Args:
         path: File to write; an existing one is replaced when the new one is complete.
-        scene: What there is to see.
+        scene: The scene to show.
         t: Times [s], not decreasing.
         q: Joints at these times [rad or m].
         fps: Frames kept for each second; between them the page interpolates.
@@ -88,7 +88,7 @@ class Viewer:
         """Start the server.
 
         Args:
-            scene: What there is to see.
+            scene: The scene to show.
             q: Joints at the start [rad or m].
             t: Time at the start [s].
             speed: Pace that `show` holds: 1 for real time; a large number for as fast as the caller is.
@@ -160,7 +160,7 @@ def page(packed: bytes, *, connect: str = "'none'") -> str:
     """The page that draws a packed scene.
 
     Args:
-        packed: What `Scene.pack` returned.
+        packed: Result of `Scene.pack`.
         connect: Content security policy for connections; a file needs none.
     """
     template = files("eos_pin.viewer").joinpath("player.html").read_text(encoding="utf-8")

@@ -50,7 +50,7 @@ def check(atlas, path):
 # -- cyclic on a chart, and drift of the generalized inverse -----------------------------------------------------------
 
 
-def test_a_closed_path_is_cyclic_on_a_chart_and_drifts_by_the_pseudoinverse(position):
+def test_closed_path_is_cyclic_on_a_chart_and_drifts_by_the_pseudoinverse(position):
     points = circle(position.value(HOME), 0.12, 241, turns=3)
     atlas = Atlas(position)
     path = atlas.follow(HOME, points)
@@ -70,7 +70,7 @@ def test_a_closed_path_is_cyclic_on_a_chart_and_drifts_by_the_pseudoinverse(posi
 
 
 @pytest.mark.parametrize("task", [task for _, task in all_tasks()], ids=[name for name, _ in all_tasks()])
-def test_every_task_goes_round_and_comes_back(task):
+def test_task_of_any_kind_goes_round_and_comes_back(task):
     """Out along a tangent and back, by another way: the same joints at the end as at the start."""
     random = np.random.default_rng(4)
     trials = (checks.random_state(task.robot, seed)[0] for seed in range(100))
@@ -103,7 +103,7 @@ def test_through_several_charts_the_joints_move_continuously(ppr):
 
 
 @pytest.mark.parametrize("threshold", [0.3, 0.5, 0.9])
-def test_a_path_across_the_workspace(panda, position, threshold):
+def test_path_across_the_workspace_is_followed(panda, position, threshold):
     start = position.value(HOME)
     corners = [start, [0.1, 0.5, 0.5], [-0.4, 0.2, 0.6], [0.1, -0.5, 0.3], start]
     points = np.concatenate([np.linspace(a, b, 40) for a, b in pairwise(corners)])
@@ -115,7 +115,7 @@ def test_a_path_across_the_workspace(panda, position, threshold):
     assert largest_step(path) < 0.4
 
 
-def test_the_paths_of_two_thresholds_are_close_where_steps_are_small(ppr):
+def test_paths_of_two_thresholds_are_close_where_steps_are_small(ppr):
     """Between charts dv = Vᵀ dq is measured along slightly different directions; with fine steps it hardly matters."""
     task = every_task(ppr)["position xy"]
     angle = np.linspace(0.0, 1.0, 200)[:, None]
@@ -124,7 +124,7 @@ def test_the_paths_of_two_thresholds_are_close_where_steps_are_small(ppr):
     np.testing.assert_allclose(ends[1:], [ends[0]] * 2, atol=1e-8)
 
 
-def test_a_worn_chart_is_replaced_where_it_fails(ppr):
+def test_worn_chart_is_replaced_where_it_fails(ppr):
     """The chart of y3 = 0 ends at y3 = π: handed over at 3.1 it cannot make the first step on, its successor can."""
     task = every_task(ppr)["position xy"]
     chart, q = Chart.from_base(task, np.zeros(3)), np.array([0.0, 0.0, 3.1])
@@ -135,7 +135,7 @@ def test_a_worn_chart_is_replaced_where_it_fails(ppr):
     assert path.q[0, 2] > np.pi
 
 
-def test_a_far_first_point_is_walked_to(position):
+def test_far_first_point_is_walked_to(position):
     """The path need not start where the robot is, and its points may lie far apart."""
     goals = np.array([[0.3, 0.45, 0.4], [0.4, -0.4, 0.6]])
     path = Atlas(position).follow(HOME, goals)
@@ -163,7 +163,7 @@ def test_v_is_a_constant_an_array_or_a_function(position):
     np.testing.assert_array_equal(atlas.follow(HOME, iter(points)).q, still.q)
 
 
-def test_a_path_may_go_on_from_the_chart_of_another(position):
+def test_path_may_go_on_from_the_chart_of_another(position):
     points = circle(position.value(HOME), 0.1, 21)
     atlas = Atlas(position)
     whole = atlas.follow(HOME, points)
@@ -207,7 +207,7 @@ def test_atlas_follow_is_empty_when_first_point_is_out_of_reach(position):
     assert "point 0 of 1" in path.message
 
 
-def test_an_empty_path_is_complete(position):
+def test_empty_path_is_complete(position):
     path = Atlas(position).follow(HOME, np.zeros((0, 3)))
     assert path.complete
     assert path.q.shape == (0, 7)
@@ -238,19 +238,19 @@ def test_wrong_shapes_are_refused(position, wrong, unchecked):
         Atlas(position).follow(arguments.pop("q"), arguments.pop("path"), **arguments)
 
 
-def test_a_singular_start_is_an_error(ur5):
+def test_singular_start_is_an_error(ur5):
     task = every_task(ur5)["pose"]
     with pytest.raises(SingularError):
         Atlas(task).follow(np.zeros(6), [task.value(np.zeros(6))])
 
 
 @pytest.mark.parametrize("threshold", [0.0, 1.0, -0.5, 2.0, np.nan, np.inf])
-def test_a_threshold_lies_between_0_and_1(position, threshold):
+def test_threshold_lies_between_0_and_1(position, threshold):
     with pytest.raises(InputError, match="threshold must be"):
         Atlas(position, threshold=threshold)
 
 
-def test_the_rule_by_which_charts_follow_each_other(ppr):
+def test_charts_follow_each_other_by_the_rule(ppr):
     """A chart is left where the margin falls to the threshold: (1 + cos a) / 2 for this robot."""
     task = every_task(ppr)["position xy"]
     atlas = Atlas(task, threshold=0.5)
@@ -281,7 +281,7 @@ def start_of(robot):
 @pytest.mark.parametrize("points", [1, 2])
 @pytest.mark.parametrize("kind", ["position xyz", "pose"])
 @pytest.mark.parametrize("name", ["panda", "ur5"])
-def test_all_that_is_reachable_is_reached_within_limits(request, name, kind, points):
+def test_reachable_points_are_reached_within_limits(request, name, kind, points):
     robot = request.getfixturevalue(name)
     task = every_task(robot)[kind]
     frame, data, ways = robot.model.getFrameId(task.frame), robot.model.createData(), set()
@@ -321,14 +321,14 @@ def test_walks_and_detours_are_continuous_and_end_at_v(panda):
     assert seen == {"continuation", "via"}
 
 
-def test_a_walk_is_what_follow_does(position):
+def test_walk_is_the_same_as_follow(position):
     goal = [0.3, 0.45, 0.4]
     reached = Atlas(position).solve(HOME, goal, strategies=["continuation"])
     assert reached.strategy == "continuation"
     np.testing.assert_allclose(reached.q, Atlas(position).follow(HOME, [goal]).q[-1], atol=1e-9)
 
 
-def test_the_same_seed_finds_the_same_joints(panda):
+def test_seed_determines_the_joints_found(panda):
     task = every_task(panda)["pose"]
     for z in reachable(task, 10):
         one, same = (Atlas(task).solve(HOME, z, strategies=["search"], seed=3) for _ in range(2))
@@ -367,7 +367,7 @@ def test_atlas_refuses_a_path_that_is_no_sequence_of_points(panda, position, unc
             Atlas(task).follow(HOME, path)
 
 
-def test_a_pose_is_taken_as_a_matrix(panda):
+def test_pose_is_taken_as_a_matrix(panda):
     task = every_task(panda)["pose"]
     z = task.plus(task.value(HOME), np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.3]))
     matrix = np.eye(4)
@@ -389,7 +389,7 @@ def test_joints_beyond_their_limits_are_the_last_resort(panda):
         np.testing.assert_allclose(task.value(reached.q), z, atol=SOLVED)
 
 
-def test_a_jump_leaves_a_singular_start(ur5):
+def test_jump_leaves_a_singular_start(ur5):
     task, start = every_task(ur5)["pose"], np.zeros(6)
     z = task.value(start_of(ur5))
     reached = Atlas(task).solve(start, z)
@@ -421,7 +421,7 @@ def search(task, q, z, bounds):
 
 
 @given(data=st.data())
-def test_a_search_keeps_its_bounds(panda, data):
+def test_search_keeps_its_bounds(panda, data):
     task = every_task(panda)["pose"]
     seed, width = data.draw(st.integers(0, 2**32 - 1)), data.draw(st.floats(0.0, 3.0))
     random = np.random.default_rng(seed)
@@ -436,7 +436,7 @@ def test_a_search_keeps_its_bounds(panda, data):
     assert residual <= 2.5 * np.abs(task.minus(z, task.value(nearest))).max()
 
 
-def test_a_search_without_a_way_downhill_ends(ur5):
+def test_search_without_a_way_downhill_ends(ur5):
     """Stretched out towards the target no joint brings the tip nearer; with all joints at their bounds none may."""
     task = every_task(ur5)["position xyz"]
     q = np.zeros(6)

@@ -65,7 +65,7 @@ def test_basis_and_its_products(dense, m, r, seed):
 
 
 @given(m=st.integers(1, 6), r=st.integers(50, 80), seed=seeds)
-def test_for_many_joints_it_is_the_nearest_to_unit_vectors(m, r, seed):
+def test_basis_for_many_joints_is_the_nearest_to_unit_vectors(m, r, seed):
     random = np.random.default_rng(seed)
     J = random.normal(size=(m, m + r))
     basis = bases.null_basis(J, rows(J))

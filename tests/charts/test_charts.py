@@ -73,7 +73,7 @@ def test_chart_is_what_equation_10_says(task, data):
 
 @every
 @given(data=st.data())
-def test_every_configuration_is_its_coordinates(task, data):
+def test_configuration_is_given_by_its_coordinates(task, data):
     """Eq. (11): q = q_bar + V (v − v_bar) − U u, on the chart or not."""
     first = Chart.from_base(task, regular(data, task))
     chart = Chart.from_base(task, near(data, first), previous=first)

@@ -130,7 +130,7 @@ def test_posture_must_fit_the_robot(panda):
             controller.torque(0.0, REST, np.zeros(7), None)
 
 
-def test_every_variant_runs_on_every_kind_of_task(panda, unchecked):
+def test_variants_run_on_every_kind_of_task(panda, unchecked):
     assert set(FAITHFUL) < set(BASELINES)
     for kind in ("xyz", "pose"):
         for variant in BASELINES:

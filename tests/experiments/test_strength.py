@@ -20,7 +20,7 @@ def weakened(robot: Robot, part: float) -> Robot:
 
 
 @pytest.mark.parametrize("part", [1.0, 0.6, 0.4])
-def test_the_default_run_of_a_weak_arm_has_enough_torque(panda, part, unchecked):
+def test_default_run_of_a_weak_arm_has_enough_torque(panda, part, unchecked):
     robot = weakened(panda, part)
     task = make_task(robot)
     q = rest_posture(task)

@@ -162,7 +162,7 @@ def test_row_is_what_a_run_by_hand_gives():
     assert (row["kp"], row["seed"], row["ended"]) == (64.0, 3, path.period)
 
 
-def test_two_processes_find_the_same_as_one():
+def test_sweep_in_two_processes_finds_the_same_as_in_one():
     planned = trials(robot=["ppr", "planar_chain_10"], kp=[50.0, 100.0], control_rate=200.0, cycles=1)
     assert timeless(sweep(planned, jobs=2)) == timeless(sweep(planned))
 

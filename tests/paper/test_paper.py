@@ -153,7 +153,7 @@ def test_chain_starts_as_a_closed_octagon_on_its_path():
 # -- what the examples show ------------------------------------------------------------------------------------------
 
 
-def test_both_forms_of_the_equations_agree(unchecked):
+def test_forms_of_the_equations_agree(unchecked):
     example = paper.equivalence(duration=2.0, threshold=0.5, rtol=1e-9)
     joints, extended = (experiment.run() for experiment in example.experiments.values())
     assert not len(extended.switches)
@@ -241,7 +241,7 @@ def test_posture_control_of_the_chain_repeats_but_for_a_turn_of_one_joint(runs):
 
 
 @pytest.mark.slow
-def test_every_claim_holds_and_the_readme_says_what_is_measured(runs):
+def test_claims_hold_and_the_readme_has_what_is_measured(runs):
     found = claiming.measure(runs)
     for name, make in claiming.APPLICATIONS.items():
         application = make()
@@ -253,7 +253,7 @@ def test_every_claim_holds_and_the_readme_says_what_is_measured(runs):
 
 
 @pytest.mark.slow
-def test_every_figure_of_the_paper_has_a_counterpart(runs, tmp_path):
+def test_figures_of_the_paper_have_counterparts(runs, tmp_path):
     planar, chain = paper.planar_robot().task.robot, paper.planar_chain().task.robot
     figures = paper_figures(runs, planar, chain)
     assert sorted(figures) == [f"figure_{k:02}" for k in (5, 6, 8, 9, 10, 13, 14, 16, 17, 18)]

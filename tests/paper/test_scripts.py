@@ -102,7 +102,7 @@ def test_help_teaches(name, capsys):
     assert f"python scripts/{name}.py" in text
 
 
-def test_every_example_is_a_command():
+def test_examples_are_commands():
     words = [sys.executable, str(SCRIPTS / "example_5_2_self_motion_tracking.py"), "--cycles", "1"]
     found = subprocess.run(words, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stderr

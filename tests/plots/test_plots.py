@@ -114,7 +114,7 @@ class TestPages:
     def test_robot_comes_from_the_provenance(self, runs):
         assert "[m]" in plots.overview(runs["eos"]).axes[3].get_ylabel()
 
-    def test_without_robot_task_or_cycle(self, ppr, tmp_path):
+    def test_figure_is_drawn_without_robot_task_or_cycle(self, ppr, tmp_path):
         plant = ppr.perturbed(mass=0.1)
         result = simulate(plant, OpenLoop(lambda t: np.zeros(3)), np.zeros(3), duration=0.2, rtol=1e-5)
         draw(plots.overview(result), tmp_path)
@@ -151,7 +151,7 @@ class TestPages:
         assert "singular" in figure.get_suptitle()
         draw(figure, tmp_path)
 
-    def test_one_sample_is_enough(self, runs, ppr, tmp_path):
+    def test_figure_of_one_sample_is_drawn(self, runs, ppr, tmp_path):
         names = [name for name, value in vars(runs["eos"]).items() if isinstance(value, np.ndarray)]
         first = {name: getattr(runs["eos"], name)[:1] for name in names if name != "switches"}
         draw(plots.overview(replace(runs["eos"], **first), ppr), tmp_path)
@@ -178,7 +178,7 @@ class TestPanels:
             plots.plot_joints(ax, result, robot)
             assert ax.get_ylabel() == f"joints {unit}"
 
-    def test_many_joints_get_a_colour_scale(self, ax, runs):
+    def test_joints_get_a_colour_scale_where_they_are_many(self, ax, runs):
         q = np.tile(runs["eos"].q, (1, 8))[:, :23] + np.arange(23.0)
         plots.plot_joints(ax, replace(runs["eos"], q=q))
         assert ax.get_legend() is None
@@ -198,7 +198,7 @@ class TestPanels:
         found = np.linalg.norm(points - points[100], axis=1)
         np.testing.assert_allclose(found, np.linalg.norm(result.q - result.q[100], axis=1), atol=1e-6)
 
-    def test_chosen_joints(self, ax, runs, ppr):
+    def test_joints_that_are_chosen_are_drawn(self, ax, runs, ppr):
         plots.plot_orbit(ax, runs["eos"], ppr, joints=(0, -1))
         assert (ax.get_xlabel(), ax.get_ylabel()) == ("$q_{1}$ [m]", "$q_{3}$ [rad]")
         with pytest.raises(InputError, match="2 of the joints 0 to 2"):
@@ -222,7 +222,7 @@ class TestPanels:
         assert [text.get_text() for text in ax.texts] == ["0", "1", "2"]
         assert [line.get_xdata()[0] for line in ax.lines] == [4.0, 9.0]
 
-    def test_no_error_is_drawn_where_nothing_was_asked_for(self, ax, runs):
+    def test_error_is_drawn_only_where_something_was_asked_for(self, ax, runs):
         empty = np.full_like(runs["eos"].error, np.nan)
         plots.plot_errors(ax, replace(runs["eos"], error=empty, v_ref=np.full_like(runs["eos"].v, np.nan)))
         assert not ax.lines
@@ -266,7 +266,7 @@ class TestKeyFrames:
         np.testing.assert_allclose(times, PERIOD * (1 + np.arange(5) / 4))
 
     @given(st.floats(0.0, 3 * PERIOD))
-    def test_joints_between_samples(self, runs, t):
+    def test_joints_between_samples_are_interpolated(self, runs, t):
         result = runs["eos"]
         found = plots.joints_at(result, [t])[0]
         k = min(np.searchsorted(result.t, t, side="right"), len(result.t) - 1)
@@ -298,7 +298,7 @@ class TestKeyFrames:
 
 class TestColours:
     @given(st.lists(st.sampled_from([*CONTROLLERS, "mine", "yours", "EOS"]), unique_by=str.lower, max_size=8))
-    def test_known_names_keep_theirs_and_others_differ(self, names):
+    def test_colours_of_known_names_stay_and_others_differ(self, names):
         names = [name for name in names if "$" not in name]
         colors = colors_of(names)
         assert len(set(colors)) == len(names)
@@ -312,7 +312,7 @@ class TestColours:
 
 class TestFiles:
     @pytest.mark.parametrize("suffix", ["png", "pdf", "svg", "PNG"])
-    def test_equal_figures_give_equal_files(self, runs, suffix, tmp_path):
+    def test_figures_that_are_equal_give_equal_files(self, runs, suffix, tmp_path):
         files = [
             plots.save(energies(runs), tmp_path / folder / f"energy.{suffix}").read_bytes() for folder in ("a", "b")
         ]
@@ -320,7 +320,7 @@ class TestFiles:
         assert files[0][:4] in (b"\x89PNG", b"%PDF", b"<?xm")
 
     @pytest.mark.parametrize("name", ["figure.gif", "figure", ".png"])
-    def test_unknown_suffix(self, runs, name, tmp_path):
+    def test_suffix_that_is_unknown_is_refused(self, runs, name, tmp_path):
         with pytest.raises(InputError, match=r"\.png, \.pdf or \.svg"):
             plots.save(energies(runs), tmp_path / name)
         assert not list(tmp_path.iterdir())
@@ -330,7 +330,7 @@ class TestFiles:
         with pytest.raises(OutputError, match="cannot write"):
             plots.save(energies(runs), tmp_path / "file" / "figure.png")
 
-    def test_a_user_s_own_settings_neither_matter_nor_change(self, runs, tmp_path):
+    def test_user_settings_neither_matter_nor_change(self, runs, tmp_path):
         usual = plots.save(energies(runs), tmp_path / "usual.png").read_bytes()
         with matplotlib.rc_context({"axes.facecolor": "black", "font.size": 30.0, "lines.linewidth": 9.0}):
             before = dict(matplotlib.rcParams)
@@ -338,7 +338,7 @@ class TestFiles:
             assert dict(matplotlib.rcParams) == before
         assert own == usual
 
-    def test_only_this_module_needs_matplotlib_and_nobody_pyplot(self):
+    def test_matplotlib_is_needed_by_this_module_only_and_pyplot_by_nobody(self):
         code = (
             "import sys, eos_pin; assert 'matplotlib' not in sys.modules; "
             "import eos_pin.plots.pages; assert 'matplotlib.pyplot' not in sys.modules"

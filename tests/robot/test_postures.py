@@ -60,7 +60,7 @@ def test_posture_refuses_what_is_none(panda, values, kind, told):
         panda.posture(values)
 
 
-def test_every_taker_of_a_posture_takes_names(panda):
+def test_functions_of_a_posture_take_names(panda):
     named = {"panda_joint2": -0.3, "panda_joint4": -2.0, "panda_joint6": 1.7}
     q = panda.posture(named)
     task = PositionTask(panda, tip(panda))

@@ -148,7 +148,7 @@ def test_bag_of_joint_states_is_analyzed(log, tmp_path, capsys):
         read_joint_log(table(tmp_path / "a.csv", t, q, names_of(task)), task.robot, topic="/joint_states")
 
 
-def test_own_names_and_degrees_are_said(log, tmp_path):
+def test_analysis_names_own_columns_and_degrees(log, tmp_path):
     task, t, q = log
     own = table(tmp_path / "own.csv", t, q, "abcdef", factor=180.0 / np.pi)
     read = read_joint_log(own, task.robot, joints=list("abcdef"), degrees=True)

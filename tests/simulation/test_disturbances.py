@@ -159,7 +159,7 @@ AGAINST = {
 @pytest.mark.slow
 @pytest.mark.parametrize("against", AGAINST)
 @pytest.mark.parametrize("kind", ["eos", "limited", "posture"])
-def test_every_controller_bears_it(panda, task, kind, against):
+def test_controllers_bear_disturbances(panda, task, kind, against):
     controller = controllers(task, eight(task))[kind]
     run = simulate_sampled(panda, controller, REST, duration=6.0, torque_limits=True, **AGAINST[against])
     assert run.status == "finished", run.message

@@ -71,7 +71,7 @@ def test_minute_of_everything_at_once_is_bounded(panda):
 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.slow
-def test_no_memory_is_kept_but_for_the_samples(panda):
+def test_memory_is_kept_only_for_the_samples(panda):
     held = {}
     tracemalloc.start()
     try:

@@ -187,7 +187,7 @@ def test_difference_shrinks_with_the_step_at_the_order_of_the_integrator(panda, 
 
 
 @pytest.mark.parametrize("integrator", ["implicit", "implicitfast"])
-def test_the_other_integrators_follow_too(panda, integrator):
+def test_integrators_of_mujoco_all_follow(panda, integrator):
     controller = control(panda, "position")
     ours = simulate_sampled(panda, controller, REST, duration=1.0)
     run = simulate_sampled(MujocoPlant.from_robot(panda, integrator=integrator), controller, REST, duration=1.0)

@@ -108,7 +108,7 @@ def test_perturbed_plant_is_followed_badly_but_followed(panda, task):
 
 
 @pytest.mark.parametrize(("duration", "threshold", "fewest"), [(2.0, 0.05, 0), (10.0, 0.5, 3), (10.0, 0.9, 4)])
-def test_both_equations_of_motion_agree_in_the_example_of_the_paper(ppr, duration, threshold, fewest):
+def test_equations_of_motion_agree_in_the_example_of_the_paper(ppr, duration, threshold, fewest):
     # Sec. 4.3
     task = PositionTask(ppr, "tip", "xy")
     torque = OpenLoop(lambda t: (0.0, 9.0, math.sin(math.pi * t)))
@@ -154,7 +154,7 @@ def shaken(panda, task, seed, rtol, size=0.5, method=None):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_both_equations_of_motion_agree_under_random_forces(panda, task, seed):
+def test_equations_of_motion_agree_under_random_forces(panda, task, seed):
     joints, extended = shaken(panda, task, seed, 1e-12)
     assert joints.ok
     assert extended.ok, extended.message

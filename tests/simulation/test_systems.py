@@ -46,7 +46,7 @@ def systems(task, seed=5):
 
 
 @pytest.mark.parametrize("kind", TASKS)
-def test_both_systems_describe_one_state_and_its_acceleration(panda, kind):
+def test_systems_describe_one_state_and_its_acceleration(panda, kind):
     task = TASKS[kind](panda)
     joint, y, extended, x = systems(task)
     (q, dq), (q_w, dq_w) = joint.joints(y), extended.joints(x)

@@ -56,7 +56,7 @@ def test_bag_is_read_by_joint_and_replaced(motion: JointMotion, tmp_path: Path) 
     assert np.array_equal(bare.q, motion.q)
 
 
-def test_what_is_no_bag_is_refused_and_left_alone(motion: JointMotion, tmp_path: Path) -> None:
+def test_file_that_is_no_bag_is_refused_and_left_alone(motion: JointMotion, tmp_path: Path) -> None:
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "mine.txt").write_text("keep")
     with pytest.raises(OutputError, match="no bag"):

@@ -54,8 +54,8 @@ def test_hold_takes_a_rotation_matrix():
 @pytest.mark.parametrize(
     ("point", "m", "message"),
     [
-        (POSE, 12, "dimension 6, got m=12"),
-        (TURN, 9, "dimension 3, got m=9"),
+        (POSE, 12, "dimension 6, but m=12"),
+        (TURN, 9, "dimension 3, but m=9"),
         (2.0 * TURN, None, "orthonormal"),
         (POSE.homogeneous * [[1.0], [1.0], [1.0], [2.0]], None, "last row"),
         (np.full((4, 4), np.nan), None, "the point to hold"),

@@ -292,7 +292,7 @@ async def fetch(url: str, **headers: str) -> tuple[int, bytes]:
     return answer.code, answer.body
 
 
-def test_only_this_machine_by_its_own_name_is_answered(ppr: Robot) -> None:
+def test_server_answers_this_machine_by_its_own_name_only(ppr: Robot) -> None:
     with Viewer(Scene(ppr, title="a title"), np.zeros(3), port=0) as viewer:
         code, page = asyncio.run(fetch(viewer.url))
         assert code == 200

@@ -31,7 +31,7 @@ class Connection:
     one thread; `emergency_stop` may be called from another one at any time, and then ends a `read` that waits.
 
     Attributes:
-        command: What the robot is commanded by.
+        command: Kind of command that the robot takes.
         control_period: Time from one state to the next [s].
         compensates_gravity: Whether the robot adds the torque of gravity to commanded torques itself.
     """

@@ -29,7 +29,7 @@ class FrankaConnection(Connection):
 
     Args:
         address: Address of the robot in the network.
-        command: What it is commanded by.
+        command: Kind of command that it takes.
         real_time: Whether a kernel without real-time scheduling is refused.
 
     Raises:

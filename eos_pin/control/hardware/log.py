@@ -21,7 +21,7 @@ class RunLog:
     """Table of samples and commands (.csv), a row each, written as the run goes on.
 
     Rows go to the operating system every `FLUSH` seconds, so that a process that is killed loses no more than those
-    since then, and at most a part of its last row. It is the one file that is not written beside its place first.
+    since then, and at most a part of its last row. All other files are written under another name and then renamed.
 
     Args:
         path: The file; one that is there already is replaced.

@@ -29,7 +29,7 @@ class Arc(NamedTuple):
         end: Arc length where it ends; on a closed component it may be beyond one round or several.
         shift: Whole turns that are added to the component's joints to be within limits, (n,).
         closed: Whether it is the whole of a closed component, so that its ends are one point.
-        causes: What ends it at its start and at its end: `"lower limit of NAME"`, `"upper limit of NAME"`,
+        causes: Causes of its start and of its end: `"lower limit of NAME"`, `"upper limit of NAME"`,
             `"collision"`, `"singularity"`, `"length"` where the curve was not followed any further; empty where it is
             closed.
     """

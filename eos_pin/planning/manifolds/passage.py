@@ -33,7 +33,7 @@ class Passage(NamedTuple):
 
     Attributes:
         q: Joints from the first posture to the last, (K, n); None where no motion was found.
-        reason: What ends the motion, in words.
+        reason: Cause of the end of the motion, in words.
         certain: Whether there is none: the arc was followed to both its ends.
     """
 
@@ -49,7 +49,7 @@ def passage(problem: Problem, z: Vector, start: JointVector, end: JointVector, s
     exact. With more, trees of postures grow from both until they meet.
 
     Args:
-        problem: What is allowed.
+        problem: The problem: limits and costs.
         z: The task point of both.
         start: The first posture, (n,).
         end: The last one, (n,).

@@ -163,7 +163,7 @@ def scene_from(data: Any, name: str = "the scene", folder: Path = Path()) -> Sce
     """Scene from lists of plain values.
 
     Args:
-        data: What a scene file holds.
+        data: Contents of a scene file.
         name: Name for messages.
         folder: Folder in which the files of meshes are looked for.
 

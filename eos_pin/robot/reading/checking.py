@@ -286,4 +286,4 @@ class Checker:
             raise self.fail(root, f"links {', '.join(cyclic[:8])} form a closed loop; a URDF is a tree")
         deepest = max(depth.values())
         if deepest > DEEPEST_TREE:
-            raise self.fail(root, f"{deepest} links hang in a row; at most {DEEPEST_TREE} can be read")
+            raise self.fail(root, f"its longest row of links has {deepest}; at most {DEEPEST_TREE} can be read")

@@ -35,7 +35,7 @@ def parse(name: str, content: bytes, notes: Notes) -> etree._Element:
     comments: these are what other parsers do not look at.
 
     Args:
-        name: What to call it in messages.
+        name: Its name in messages.
         content: The document.
         notes: Where to take down what had to be passed over.
 

@@ -1,7 +1,7 @@
 """Read an untrusted URDF: safely, naming file, line and joint, and into the form Pinocchio needs.
 
 What Pinocchio's own parser would refuse with a line on the terminal, or accept and get wrong, is checked or rewritten
-here first. What other parsers read although it is odd is read here as well, with a note.
+here first. Odd forms that other parsers read are read here as well, with a note.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Urdf:
         sha256: Hash of its bytes.
         root: Its `<robot>` element; treat it as read-only.
         joints: Its joints by name.
-        notes: What had to be passed over, or is taken for something else.
+        notes: Notes on parts of the file that were ignored or read as something else.
     """
 
     path: Path
