@@ -20,6 +20,7 @@ from .control import FollowJoints as FollowJoints
 from .control import FollowPlan as FollowPlan
 from .control import FreeNullSpace as FreeNullSpace
 from .control import JointLimits as JointLimits
+from .control import KeepTolerance as KeepTolerance
 from .control import KinematicLoop as KinematicLoop
 from .control import LimitedEosController as LimitedEosController
 from .control import NullSpaceLaw as NullSpaceLaw

@@ -113,9 +113,9 @@ def _find_out(robot: Robot, options: TaskOptions) -> Findings:
     if robot.lacks_dynamics:
         cannot["dynamics"] = robot.lacks_dynamics
     try:
-        task, q = options.make(robot)
+        task, q = options.make(robot, kept=True)
     except InputError as error:
-        if options.q0 or options.axes:
+        if options.q0 or options.axes or options.point or options.tolerance:
             # Asked for in so many words: a mistake in these is one of the caller.
             raise
         zero = np.clip(np.zeros(robot.n), robot.lower, robot.upper)
@@ -138,6 +138,9 @@ def _advice(robot: RobotOptions, task: TaskOptions, found: Findings) -> list[str
     """Advice in a line; none where nothing can be done as asked."""
     words = f"{robot.robot}{f' --frame {robot.frame}' if robot.frame else ''}"
     words += f" --task {task.task}" if task.task != TaskOptions.task else ""
+    for name, values in (("point", task.point), ("tolerance", task.tolerance)):
+        words += f" --{name} {' '.join(map(str, values))}" if values else ""
+    words += " --path hold" if task.point else ""
     if found.task is None:
         return []
     if "dynamics" in found.cannot:

@@ -228,7 +228,7 @@ def plan(
     )
     machine = robot.load()
     say_notes(machine)
-    goal, q = task.make(machine)
+    goal, q = task.make(machine, kept=True)
     curve = path.make(goal, q)
     scene = read_scene(within.scene) if within.scene is not None else None
     bodies = within.bodies(machine)
@@ -353,6 +353,8 @@ def _table(found: Plan) -> Any:
     table.add_row("least distance from a limit", f"{format_number(info['limit_distance_min'])} rad or m")
     if info["clearance_min"] is not None:
         table.add_row("least clearance", f"{format_number(info['clearance_min'])} m")
+    for name, part in info.get("tolerance_used", {}).items():
+        table.add_row(f"largest part of the tolerance {name}", f"{part:.4g}")
     for what in ("velocity", "acceleration", "torque"):
         part = info.get(f"{what}_part_max")
         if part is not None:

@@ -21,6 +21,7 @@ from eos_pin.cli.output import (
     warn_of_gravity,
     write_outputs,
 )
+from eos_pin.experiments.applicability import EOS
 from eos_pin.experiments.commanded import commanded_loop, run_commanded
 from eos_pin.experiments.options import (
     ControllerName,
@@ -80,7 +81,8 @@ def track(
         motion = loaded_plan(machine, plan, task.make(machine)[1] if task.q0 else None, control)
         goal, reference, q = motion.task, motion.path, motion.q
     else:
-        goal, q = task.make(machine)
+        kept = control.self_motion == "planned" or (control.controller in EOS and control.command == "torque")
+        goal, q = task.make(machine, kept=kept)
         reference = path.make(goal, q)
         if control.self_motion == "planned":
             motion = made_plan(goal, reference, q if task.q0 else None, control, output.seed)

@@ -23,3 +23,4 @@ from .operational import NullSpaceLaw as NullSpaceLaw
 from .operational import OperationalSpaceController as OperationalSpaceController
 from .operational import PostureNullSpace as PostureNullSpace
 from .overload import gravity_overload as gravity_overload
+from .tolerance import KeepTolerance as KeepTolerance

@@ -2,16 +2,25 @@
 
 Over one control period a joint moves with constant velocity u: q⁺ = q + h u. It can stop before an end at distance d if
 it can do so by braking a full b h in every period. Velocities that leave that open form an interval, which is never
-empty if the velocity before was in its own.
+empty if the velocity before was in its own. `compiled_step` makes the ordinary steps of `KinematicLoop` within them.
 """
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 
 from eos_pin._arrays import JointVector, Vector
+from eos_pin._kernels.dispatch import kernels
+from eos_pin.charts.atlas import Atlas
+from eos_pin.charts.chart import TURN
 from eos_pin.control.limited import JointLimits
+from eos_pin.control.objectives import Objective
+from eos_pin.control.state import EosState
 from eos_pin.errors import InputError
+from eos_pin.trajectories.base import Trajectory
 
 #: Part of its distance by which a joint beyond an end comes back in a period.
 RETURN = 0.1
@@ -87,3 +96,37 @@ def part_within(a: JointVector, other: JointVector, least: JointVector, most: Jo
     counts = (gain != 0.0) & (a >= least) & (a <= most)
     parts = room[counts] / gain[counts]
     return float(min(MOST_PART * parts.min(initial=2.0), 1.0))
+
+
+def compiled_step(
+    on: EosState,
+    reference: Trajectory,
+    self_motion: Objective,
+    atlas: Atlas,
+    factors: tuple[Any, Any],
+    box: VelocityBox,
+    settings: tuple[float, float, float, float, int],
+) -> Any:
+    """Compiled step on one chart; None without a compiler, and for tasks that are not made of frames.
+
+    Args:
+        on: The chart.
+        reference: Reference of the task.
+        self_motion: Law of the self-motion.
+        atlas: Rule by which charts follow each other.
+        factors: Both factors of `decay` for the task.
+        box: Velocities within limits.
+        settings: Control period, distances by which a measured joint may move and may be away from its command, square
+            of the task error that is left, and most steps of Newton's method.
+    """
+    chart, kinematics = on.chart, on.chart.task.kinematics
+    # The kinematics of a tolerance are of another task, with other points.
+    own = kinematics.compiled and kinematics.task is chart.task
+    if kernels is None or not own or on.drive._kernel is None:
+        return None
+    law, held = self_motion.sampled_targets(on.since, settings[0], 0.0, chart.r), self_motion._held_law(chart.r)
+    return kernels.KinematicStep(
+        on.drive._made_from, kinematics._chain, (chart.q_bar, chart._v_zero), chart.task.robot.continuous, TURN,
+        atlas.threshold, partial(atlas._serves, chart), factors, held and (held[2], *law.factors), law.of, reference,
+        box.arrays, ENDLESS, *settings,
+    )  # fmt: skip

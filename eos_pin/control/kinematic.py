@@ -20,11 +20,10 @@ from eos_pin._arrays import (
 )
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
-from eos_pin.control._ordinary_step import compiled_step
 from eos_pin.control._regularize import AccelerationMap
 from eos_pin.control._sampled_law import SelfTargets, decay
 from eos_pin.control._smallest_change import SmallestChange
-from eos_pin.control._velocity_box import VelocityBox, part_within
+from eos_pin.control._velocity_box import VelocityBox, compiled_step, part_within
 from eos_pin.control.limited import JointLimits
 from eos_pin.control.objectives import Objective, Track
 from eos_pin.control.state import EosState, KinematicState

@@ -6,32 +6,35 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import combinations
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 import pinocchio as pin
 
-from eos_pin._arrays import Array, JointVector, checked, frozen_copy, number
+from eos_pin._arrays import Array, JointVector, VectorLike, checked, frozen_copy, number
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import SINGULAR_VALUE_FLOOR
 from eos_pin.errors import InputError
+from eos_pin.experiments.shapes import SHAPES, Shape, drawn, lengths, planes, sizes
 from eos_pin.experiments.strength import EASY, gravity_load, slowdown_for_torque
 from eos_pin.robot.loading import default_frame
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.axis import AxisTask, PointAxisTask
 from eos_pin.tasks.base import Task
+from eos_pin.tasks.look_at import LookAtTask
 from eos_pin.tasks.orientation import HeadingTask, OrientationTask, PoseTask
 from eos_pin.tasks.position import ComTask, PositionTask
+from eos_pin.tasks.relations import DistanceTask
 from eos_pin.tasks.stacked import StackedTask
+from eos_pin.tasks.tolerance import ToleranceTask
 from eos_pin.trajectories.base import Hold, Trajectory
-from eos_pin.trajectories.harmonic import Harmonic, circle, figure_eight, line
-from eos_pin.trajectories.stacked import StackedTrajectory
+from eos_pin.trajectories.tolerated import ToleratedPath
 
-TaskKind: TypeAlias = Literal["position", "pose", "point-axis", "axis", "orientation", "heading", "com"]
-TASK_KINDS: tuple[TaskKind, ...] = ("position", "pose", "point-axis", "axis", "orientation", "heading", "com")
-Shape: TypeAlias = Literal["eight", "circle", "line", "hold"]
-SHAPES: tuple[Shape, ...] = ("eight", "circle", "line", "hold")
+TaskKind: TypeAlias = Literal[
+    "position", "pose", "point-axis", "axis", "look-at", "orientation", "heading", "distance", "com"
+]
+TASK_KINDS: tuple[TaskKind, ...] = get_args(TaskKind)
 #: Periods that are tried, the shortest first [s].
 PERIODS = (4.0, 5.0, 6.0, 8.0, 10.0)
 #: Points of a cycle at which a path is tried.
@@ -118,7 +121,7 @@ def fitting_path(
     Args:
         task: The task; the path runs in its coordinates of length, and holds its orientation.
         q: Joints at the start.
-        shape: Shape of the path.
+        shape: Shape of the path; a hold rests where the task is, or aims where it is to look.
         size: Half width or radius [m].
         plane: Plane, such as `"yz"`; one axis for a line.
         period: Time of one round [s].
@@ -128,12 +131,15 @@ def fitting_path(
     """
     if shape not in SHAPES:
         raise InputError(f"the shape of a path is one of {', '.join(SHAPES)}; got {shape!r}")
+    if isinstance(task, ToleranceTask):
+        options = {"shape": shape, "size": size, "plane": plane, "period": period}
+        return ToleratedPath(task, fitting_path(task.whole, q, **options))  # type: ignore[arg-type]
     z = task.value(q)
     if shape == "hold":
         if any(given is not None for given in (size, plane, period)):
             raise InputError("a path that holds still has no size, plane or period; leave them out")
-        return Hold(z, task.m)
-    free = _lengths(task)
+        return task.aim() if isinstance(task, LookAtTask) else Hold(z, task.m)
+    free = lengths(task)
     if not free:
         raise InputError(f"{task!r} has no coordinates of length to draw a path in; use the shape 'hold'")
     if regularity(task, q) < PASSABLE and (size is None or plane is None):
@@ -142,26 +148,26 @@ def fitting_path(
             f"{PASSABLE:.1%} of the robot's reach, or of a radian, when a joint turns by one. Count fewer axes, take "
             "another frame, or start elsewhere"
         )
-    sizes = [number(size, "the size of the path", above=0.0)] if size is not None else _sizes(task.robot)
+    tried = [number(size, "the size of the path", above=0.0)] if size is not None else sizes(task.robot)
     periods = PERIODS if period is None else (number(period, "the period", above=0.0),)
     failures, slow = [], None
-    for length in sizes:
-        for where in [plane] if plane else _planes(free, shape):
-            path = _draw(task, z, shape, length, where, free, periods[0])
+    for length in tried:
+        for where in [plane] if plane else planes(free, shape):
+            path = drawn(task, z, shape, length, where, free, periods[0])
             slowdown, failure = _fits(task, q, path)
             fast = next((p for p in periods if p >= slowdown * periods[0]), None)
             if not failure and fast is None:
                 failure = "a joint is too slow or too weak for it"
                 lasting = math.ceil(slowdown * periods[0]) if math.isfinite(slowdown) else periods[-1]
-                slow = _draw(task, z, shape, length, where, free, lasting)
+                slow = drawn(task, z, shape, length, where, free, lasting)
             if not failure:
-                return _draw(task, z, shape, length, where, free, fast or periods[-1])
+                return drawn(task, z, shape, length, where, free, fast or periods[-1])
             failures.append(f"{length:.3g} m in {where}: {failure}")
             if size is not None and plane is not None:
                 # Asked for in so many words: it is drawn, and the run will say where it ends.
                 return path
     if size is not None:
-        return _draw(task, z, shape, sizes[0], _planes(free, shape)[0], free, periods[0])
+        return drawn(task, z, shape, tried[0], planes(free, shape)[0], free, periods[0])
     if slow is not None and period is None:
         return slow
     raise InputError(
@@ -187,7 +193,13 @@ def regularity(task: Task, q: JointVector, chart: Chart | None = None) -> float:
 
 @checked
 def make_task(
-    robot: Robot, kind: TaskKind = "position", *, frame: str = "", axes: str = "", tool_axis: str = "z"
+    robot: Robot,
+    kind: TaskKind = "position",
+    *,
+    frame: str = "",
+    axes: str = "",
+    tool_axis: str = "z",
+    point: VectorLike | None = None,
 ) -> Task:
     """Task of a kind; missing choices are made to suit the robot.
 
@@ -196,7 +208,8 @@ def make_task(
         kind: Kind of task. On a planar robot a position has two coordinates, a pose two and the heading.
         frame: Frame that does the task; by default the one `default_frame` names.
         axes: Axes of a position, a centre of mass or a planar pose; by default as many as the joints can move it along.
-        tool_axis: Axis of the frame whose direction counts for `axis` and `point-axis`, such as `"-z"` or `"0 0 1"`.
+        tool_axis: Axis of the frame that `axis`, `point-axis` and `look-at` direct, such as `"-z"` or `"0 0 1"`.
+        point: Point of the world that `look-at` looks at, or `distance` counts from [m].
 
     Raises:
         InputError: The joints cannot move the task in all its directions, in no posture.
@@ -204,23 +217,27 @@ def make_task(
     if kind not in TASK_KINDS:
         raise InputError(f"the kind of a task is one of {', '.join(TASK_KINDS)}; got {kind!r}")
     frame = frame or default_frame(robot)
-    point: Callable[[str], Task] = partial(PositionTask, robot, frame) if kind != "com" else partial(ComTask, robot)
+    if (point is None) != (kind not in ("look-at", "distance")):
+        raise InputError(f"a point of the world is for the tasks look-at and distance, which need one; got {kind!r}")
+    along: Callable[[str], Task] = partial(PositionTask, robot, frame) if kind != "com" else partial(ComTask, robot)
     task: Task
     if kind in ("position", "com"):
-        task = point(axes or _free_axes(robot, point, frame))
-    elif axes and (kind in ("orientation", "heading", "axis", "point-axis") or not _is_planar(robot, frame)):
+        task = along(axes or _free_axes(robot, along, frame))
+    elif axes and (kind != "pose" or not _is_planar(robot, frame)):
         raise InputError(
             f"axes {axes!r} do not apply to a task of {kind}: it counts all of its coordinates. Leave them out, or "
             "choose a task of position"
         )
     elif kind in ("axis", "point-axis"):
         task = (AxisTask if kind == "axis" else PointAxisTask)(robot, frame, tool_axis)
+    elif point is not None:
+        task = LookAtTask(robot, frame, point, tool_axis) if kind == "look-at" else DistanceTask(robot, frame, point)
     elif kind == "orientation":
         task = OrientationTask(robot, frame)
     elif kind == "heading":
         task = HeadingTask(robot, frame)
     elif _is_planar(robot, frame):
-        task = StackedTask([point(axes or "xy"), HeadingTask(robot, frame)])
+        task = StackedTask([along(axes or "xy"), HeadingTask(robot, frame)])
     else:
         task = PoseTask(robot, frame)
     sigma = max((_sigma(task, q) for q in _postures(robot)), key=min)
@@ -322,52 +339,6 @@ def _heights(robot: Robot, q: JointVector) -> Array:
         return np.zeros(1)
     pin.forwardKinematics(robot.model, robot._data, q)
     return np.array([-math.copysign(1.0, down[2]) * float(p.translation[2]) for p in list(robot._data.oMi)[1:]])
-
-
-def _lengths(task: Task) -> list[str]:
-    """Axes of the task's first coordinates that are lengths, in order."""
-    first = task.tasks[0] if isinstance(task, StackedTask) else task
-    return [label for label, unit in zip(first.labels, first.units, strict=True) if unit == "m"]
-
-
-def _planes(free: Sequence[str], shape: Shape) -> list[str]:
-    if shape == "line" or len(free) == 1:
-        return list(reversed(free))
-    pairs = [a + b for i, a in enumerate(free) for b in free[i + 1 :]]
-    # A figure drawn on a wall in front of the robot reads best.
-    return sorted(pairs, key=lambda pair: pair != "yz")
-
-
-def _sizes(robot: Robot) -> list[float]:
-    """Sizes that are tried, round numbers from a quarter of the reach downwards [m]."""
-    largest = 0.25 * robot.reach
-    factors = np.concatenate((0.8 ** np.arange(12), 0.8**12 * 0.5 ** np.arange(7)))
-    return [float(f"{largest * factor:.2g}") for factor in factors]
-
-
-def _draw(
-    task: Task, z: np.ndarray, shape: Shape, size: float, plane: str, free: Sequence[str], period: float
-) -> Trajectory:
-    """The path in the task's own coordinates, begun at z."""
-    k = len(free)
-    center = z[:k]
-    axes = "".join("xyz"[i] for i in range(k))
-    # Plane and axes are named by the task's labels; the shapes count them from the first.
-    unknown = [axis for axis in plane if axis not in free]
-    if unknown or len(plane) != (1 if shape == "line" or k == 1 else 2) or len(set(plane)) != len(plane):
-        wanted = "one of the axes" if shape == "line" or k == 1 else "two of the axes"
-        raise InputError(f"a {shape} of this task lies along {wanted} {', '.join(free)}; got {plane!r}")
-    named = "".join(axes[list(free).index(axis)] for axis in plane)
-    path: Harmonic
-    if shape == "line" or k == 1:
-        path = line(center, size * np.eye(k)["xyz".index(named)], period=period)
-    elif shape == "circle":
-        path = circle(center, size, period=period, plane=named)
-    else:
-        path = figure_eight(center, size, period=period, plane=named)
-    if z.size == k:
-        return path
-    return StackedTrajectory((path, Hold(z[k:], task.m - k)))
 
 
 def _fits(task: Task, q: JointVector, path: Trajectory) -> tuple[float, str]:

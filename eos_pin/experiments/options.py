@@ -11,7 +11,8 @@ import numpy as np
 from eos_pin._arrays import JointVector, checked, number, vector
 from eos_pin.errors import InputError, Renamed
 from eos_pin.experiments.applicability import check_applicable
-from eos_pin.robot.postures import by_name, in_order
+from eos_pin.experiments.task_options import TaskOptions as TaskOptions
+from eos_pin.robot.postures import by_name
 
 # Everything else is imported where it is used, so that `eos-pin --help` does not wait for it.
 if TYPE_CHECKING:
@@ -75,43 +76,6 @@ class RobotOptions:
         tool = Tool(frame, self.tool) if self.tool is not None else None
         payload = Payload(self.payload, frame) if self.payload else None
         return load_robot(self.robot, chain_to=tool.name if tool else frame, tool=tool, payload=payload, **options)
-
-
-@checked
-@dataclass(frozen=True)
-class TaskOptions:
-    """Task of the robot.
-
-    Attributes:
-        task: Kind: position, pose (with orientation), point-axis (position and the direction of the tool's axis,
-            free to turn about it), axis, orientation, heading (planar robots), or centre of mass.
-        axes: Axes that count, such as xy; by default all along which the frame can move.
-        q0: Joints at the start [rad or m]: all in order, or some by name, such as panda_joint4=-2; by default, and for
-            those not named, a posture far from singular and from the limits.
-        tool_axis: Axis of the frame that axis and point-axis direct: x, y, z, -x, -y, -z, or three numbers.
-    """
-
-    task: Literal["position", "pose", "point-axis", "axis", "orientation", "heading", "com"] = "position"
-    axes: str = ""
-    q0: tuple[float | str, ...] = ()
-    tool_axis: str = "z"
-
-    @checked
-    def make(self, robot: Robot) -> tuple[Task, JointVector]:
-        """The task, and the joints to start from."""
-        from eos_pin.experiments.defaults import make_task, rest_posture
-
-        frame = robot.options.get("chain_to", "")
-        task = make_task(robot, self.task, frame=frame, axes=self.axes, tool_axis=self.tool_axis)
-        words = [word for word in self.q0 if isinstance(word, str)]
-        if not words:
-            return task, vector([float(x) for x in self.q0], robot.n, "q0") if self.q0 else rest_posture(task)
-        named = {joint: value for joint, value in by_name(words, "q0").items() if value is not None}
-        if len(named) < len(self.q0):
-            raise InputError(
-                f"q0 is all {robot.n} joints in order, or some as joint=value; got {' '.join(map(str, self.q0))}"
-            )
-        return task, in_order(named, robot.joint_names, rest_posture(task), "q0")
 
 
 @checked
@@ -210,6 +174,8 @@ class ControlOptions:
         from eos_pin.control.eos import EosController
         from eos_pin.control.limited import LimitedEosController
         from eos_pin.control.operational import BASELINES
+        from eos_pin.control.tolerance import KeepTolerance
+        from eos_pin.tasks.tolerance import ToleranceTask
 
         if self.command != "torque":
             raise InputError(
@@ -218,7 +184,10 @@ class ControlOptions:
         if self.controller in BASELINES:
             return BASELINES[self.controller](task, reference, q)
         atlas = Atlas(task, threshold=self.chart_margin)
-        law = law or self._law(task, reference, q)
+        if law is None:
+            law = self._law(task, reference, q)
+            if isinstance(task, ToleranceTask):
+                law = KeepTolerance(law, task, reference, kp=self.kp, kd=self.kd)
         if self.controller == "eos":
             return EosController(task, reference, law, kp=self.kp, kd=self.kd, atlas=atlas)
         if period is None:

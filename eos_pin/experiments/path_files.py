@@ -19,15 +19,18 @@ from eos_pin._arrays import (
 from eos_pin.charts.atlas import Atlas
 from eos_pin.errors import InputError
 from eos_pin.experiments.defaults import ROOM
-from eos_pin.tasks.axis import PointAxisTask
+from eos_pin.tasks.axis import AxisTask, PointAxisTask
 from eos_pin.tasks.base import Point, Task
 from eos_pin.tasks.extent import check_reach
 from eos_pin.tasks.orientation import HeadingTask, OrientationTask, PoseTask
 from eos_pin.tasks.position import ComTask, PositionTask
 from eos_pin.tasks.stacked import StackedTask
+from eos_pin.tasks.tolerance import ToleranceTask
 from eos_pin.trajectories.base import Hold, Trajectory
 from eos_pin.trajectories.spline import check_rows, cubic_spline, rotation_spline, shifted
 from eos_pin.trajectories.stacked import StackedTrajectory
+from eos_pin.trajectories.through import SAME, directions_in, waypoint_path
+from eos_pin.trajectories.tolerated import ToleratedPath
 from eos_pin.trajectories.waypoints import Waypoints, pose_numbers, read_waypoints
 
 #: A path without times is no faster than this part of the robot's reach, or 1 rad, per second.
@@ -40,11 +43,12 @@ TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 
 
 class _Coordinates(NamedTuple):
-    """Task coordinates of a table: its first coordinates that are numbers, and its rotation."""
+    """Task coordinates of a table: its first coordinates that are numbers, its rotation, or whole task points."""
 
     vectors: Float[Array, "K k"] | None = None
     turns: Float[Array, "K 3 3"] | None = None
     notes: tuple[str, ...] = ()
+    points: Float[Array, "K size"] | None = None
 
 
 @checked
@@ -65,6 +69,8 @@ def path_from_csv(path: str | Path, task: Task, q: JointVector, *, patient: bool
         InputError: The file cannot be used, its columns do not fit the task, or a point is out of reach. It names file,
             line and cause, and guesses units.
     """
+    if isinstance(task, ToleranceTask):
+        return ToleratedPath(task, path_from_csv(path, task.whole, q, patient=patient))
     table = read_waypoints(path)
     check_rows(table)
     given = _of_task(table, task)
@@ -155,9 +161,14 @@ def _of_task(table: Waypoints, task: Task) -> _Coordinates:
             raise InputError(f"{source}: heading is for planar robots; a pose in space takes roll, pitch, yaw")
         return _Coordinates(None if table.position is None else _along(table, "xyz")[0], table.rotation)
     spare = (f"columns {', '.join(table.axes)} of {source} do not count: {task!r}",) if table.axes else ()
-    if isinstance(task, PointAxisTask) and table.rotation is None and table.heading is None:
-        # The direction of the axis stays.
-        return _Coordinates(_along(table, "xyz")[0])
+    if isinstance(task, (AxisTask, PointAxisTask)) and table.heading is None:
+        directions = directions_in(table, task)
+        if directions is None and isinstance(task, PointAxisTask):
+            # The direction of the axis stays.
+            return _Coordinates(_along(table, "xyz")[0])
+        if directions is not None:
+            places = _along(table, "xyz")[0] if isinstance(task, PointAxisTask) else directions[:, :0]
+            return _Coordinates(places if places.size else None, points=np.hstack((places, directions)))
     if isinstance(task, OrientationTask):
         if table.rotation is None:
             raise InputError(f"{source}: an orientation takes qw, qx, qy, qz or roll, pitch, yaw")
@@ -241,6 +252,9 @@ def _unwrapped(table: Waypoints, task: Task, vectors: Float[Array, "K k"]) -> tu
 def _steps(task: Task, given: _Coordinates) -> Vector:
     """Length of the way from row to row, in radians and parts `PACE` of the reach."""
     squares = 0.0
+    if given.points is not None:
+        scale = np.array([1.0 / (PACE * task.robot.reach) if unit == "m" else 1.0 for unit in task.units])
+        return np.linalg.norm(task.kinematics.minus(given.points[1:], given.points[:-1]) * scale, axis=1)
     if given.vectors is not None:
         units = task.units[: given.vectors.shape[1]]
         scale = np.array([1.0 / (PACE * task.robot.reach) if unit == "m" else 1.0 for unit in units])
@@ -291,6 +305,9 @@ def _check_pace(table: Waypoints, way: float) -> None:
 
 def _curve(task: Task, z0: Point, given: _Coordinates, times: Vector) -> Trajectory:
     """The path through the rows at given times; coordinates that no column gives stay as in z0."""
+    if given.points is not None:
+        first, last = given.points[[0, -1]]
+        return waypoint_path(task, given.points, times, closed=bool(np.abs(last - first).max() < SAME))
     for closed in (None, False):
         parts: list[Trajectory] = []
         if given.vectors is not None:

@@ -9,12 +9,14 @@ import numpy as np
 
 from eos_pin.errors import InputError, ResultError
 from eos_pin.tasks.base import Task
+from eos_pin.tasks.tolerance import ToleranceTask
 from eos_pin.trajectories.base import Hold, Trajectory
 from eos_pin.trajectories.harmonic import Harmonic
 from eos_pin.trajectories.spline import Geodesic, RotationSpline, Spline
 from eos_pin.trajectories.stacked import StackedTrajectory
 from eos_pin.trajectories.through import WaypointPath
 from eos_pin.trajectories.timed import Pace, TimedPath
+from eos_pin.trajectories.tolerated import ToleratedPath
 
 #: What a pace consists of.
 NODES = ("times", "places", "speeds", "accelerations")
@@ -38,6 +40,8 @@ def described(path: Trajectory) -> dict[str, Any]:
         return {"kind": "hold", "z": path.z.tolist(), "m": path.m}
     if isinstance(path, StackedTrajectory):
         return {"kind": "stacked", "parts": [described(part) for part in path.parts]}
+    if isinstance(path, ToleratedPath):
+        return {"kind": "tolerated", "path": described(path.path)}
     if isinstance(path, Geodesic):
         return {"kind": "geodesic", "points": np.asarray(path.points).tolist(), "times": path.times.tolist()}
     if isinstance(path, (Spline, RotationSpline)):
@@ -73,6 +77,8 @@ def path_from(task: Task, description: Mapping[str, Any]) -> Trajectory:
             return Hold(np.array(words["z"]), words["m"])
         if kind == "stacked":
             return StackedTrajectory(tuple(path_from(task, part) for part in words["parts"]))
+        if kind == "tolerated" and isinstance(task, ToleranceTask):
+            return ToleratedPath(task, path_from(task.whole, words["path"]))
         if kind == "geodesic":
             return Geodesic(task, np.array(words["points"]), np.array(words["times"]))
         if kind in ("spline", "rotation_spline"):

@@ -27,7 +27,8 @@ from eos_pin.trajectories.base import Hold, Target, Trajectory
 from eos_pin.trajectories.harmonic import Harmonic, circle, figure_eight, line
 from eos_pin.trajectories.spline import rotations_along, unrolled
 from eos_pin.trajectories.stacked import StackedTrajectory
-from eos_pin.trajectories.waypoints import read_waypoints
+from eos_pin.trajectories.tolerated import ToleratedPath
+from eos_pin.trajectories.waypoints import Waypoints, read_waypoints
 
 #: Kinds of parts of a task point, by how they are interpolated.
 Kind: TypeAlias = Literal["number", "rotation", "angle", "direction"]
@@ -243,6 +244,8 @@ def read_path(path: str | Path, task: Task, z: Array, *, closed: bool = False) -
             rows[:, part] = table.values[:, part] if table.values.shape[1] == task.size else table.values
         elif turning and table.rotation is not None:
             rows[:, part] = table.rotation.reshape(-1, 9)
+        elif kind == "direction" and (directions := directions_in(table, task)) is not None:
+            rows[:, part] = directions
         elif angle and table.heading is not None:
             rows[:, part] = table.heading[:, None]
         elif kind == "number" and table.position is not None and table.position.shape[1] >= width:
@@ -256,6 +259,14 @@ def read_path(path: str | Path, task: Task, z: Array, *, closed: bool = False) -
         check_reach(task, rows, str(table.source), table.lines)
     names = [f"{path}, line {line}" for line in table.lines]
     return waypoint_path(task, rows, table.t, closed=closed, names=names)
+
+
+def directions_in(table: Waypoints, task: Task) -> Float[Array, "K 3"] | None:
+    """Directions of the axis of a task in a table, from the poses in it if need be; None where there are none."""
+    whole = task.whole if isinstance(task, ToleranceTask) else task
+    parts = whole.tasks if isinstance(whole, StackedTask) else (whole,)
+    axis = next((part.axis for part in parts if isinstance(part, AxisTask)), None)
+    return table.direction if table.rotation is None or axis is None else np.asarray(table.rotation @ np.array(axis))
 
 
 def _direction(s: Array, ds: Array, dds: Array) -> tuple[Array, Array, Array]:
@@ -304,6 +315,9 @@ def stretched(path: Trajectory, factor: float) -> Trajectory | None:
         return replace(path, period=factor * path.period, phase=factor * path.phase)
     if isinstance(path, Hold):
         return path
+    if isinstance(path, ToleratedPath):
+        slower = stretched(path.path, factor)
+        return None if slower is None else ToleratedPath(path.task, slower)
     if isinstance(path, StackedTrajectory):
         parts = [stretched(part, factor) for part in path.parts]
         return None if None in parts else StackedTrajectory(tuple(part for part in parts if part is not None))
@@ -327,6 +341,8 @@ def about(
     Raises:
         InputError: The task has no three lengths, or the plane is none.
     """
+    if isinstance(task, ToleranceTask):
+        return ToleratedPath(task, about(task.whole, z, shape, centre, size, plane, period))
     first = task.tasks[0] if isinstance(task, StackedTask) else task
     width = sum(unit == "m" for unit in first.units)
     if width < 2 or task.units[:width] != ("m",) * width:

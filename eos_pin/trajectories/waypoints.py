@@ -1,8 +1,8 @@
 """Tables of way points in text files: times, positions and orientations by the names of their columns.
 
 Columns are separated by commas, semicolons, tabs or spaces, and stand in any order; what follows a `#` is a comment. A
-first row names them: t [s]; x, y, z [m]; qw, qx, qy, qz, or roll, pitch, yaw [rad]; heading [rad]; or z1, …, zm for the
-coordinates of any task. Without names they are t, z1, …, zm.
+first row names them: t [s]; x, y, z [m]; qw, qx, qy, qz, or roll, pitch, yaw [rad]; ax, ay, az, the direction of the
+tool's axis; heading [rad]; or z1, …, zm for the coordinates of any task. Without names they are t, z1, …, zm.
 """
 
 from __future__ import annotations
@@ -27,14 +27,15 @@ ROUNDED = 1e-3
 #: An angle beyond two turns [rad] is one in degrees.
 MOST_ANGLE = 4.0 * np.pi
 POSITION, QUATERNION, ANGLES = ("x", "y", "z"), ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
-KNOWN = "t; x, y, z; qw, qx, qy, qz; roll, pitch, yaw; heading; or z1, …, zm"
+DIRECTION = ("ax", "ay", "az")
+KNOWN = "t; x, y, z; qw, qx, qy, qz; roll, pitch, yaw; ax, ay, az; heading; or z1, …, zm"
 
 _ALIASES = (
     dict.fromkeys(("t", "time", "timestamp", "stamp", "sec", "secs", "seconds"), "t")
     | {f"{prefix}{axis}": axis for prefix in ("", "p", "t", "pos") for axis in "xyz"}
     | {f"{prefix}{axis}": f"q{axis}" for prefix in ("q", "o", "quat") for axis in "wxyz"}
     | {"w": "qw", "heading": "heading"}
-    | {name: name for name in ANGLES}
+    | {name: name for name in (*ANGLES, *DIRECTION)}
 )  # fmt: skip
 #: Words before a dot or an underline, as logs write `pose.position.x` or `orientation_w`.
 _GROUPS = (
@@ -59,6 +60,7 @@ class Waypoints:
         position: Positions along `axes` [m], (K, number of axes).
         axes: Which coordinates `position` has, such as `"xyz"`.
         rotation: Rotation matrices, (K, 3, 3).
+        direction: Directions of the tool's axis, unit vectors, (K, 3).
         heading: Angles about the world's z axis, for planar robots [rad], (K,).
         values: Task points of columns that are not named, or named z1, …, zm, (K, m).
     """
@@ -71,6 +73,7 @@ class Waypoints:
     position: Float[Array, "K k"] | None = None
     axes: str = ""
     rotation: Float[Array, "K 3 3"] | None = None
+    direction: Float[Array, "K 3"] | None = None
     heading: Vector | None = None
     values: Float[Array, "K m"] | None = None
 
@@ -259,12 +262,12 @@ def _check_names(names: Sequence[str], where: str) -> None:
     twice = sorted({name for name in names if list(names).count(name) > 1})
     if twice:
         raise InputError(f"{where}: column {', '.join(twice)} is there more than once")
-    for group in (QUATERNION, ANGLES):
+    for group in (QUATERNION, ANGLES, DIRECTION):
         missing = [name for name in group if name not in names]
         if 0 < len(missing) < len(group):
             have = ", ".join(name for name in group if name in names)
             raise InputError(f"{where}: {have} without {', '.join(missing)}; the columns are {KNOWN}")
-    kinds = [group for group in (QUATERNION, ANGLES, ("heading",)) if group[0] in names]
+    kinds = [group for group in (QUATERNION, ANGLES, DIRECTION, ("heading",)) if group[0] in names]
     if len(kinds) > 1:
         raise InputError(f"{where}: the orientation is given twice, as {' and '.join(', '.join(g) for g in kinds)}")
     coordinates = [name for name in names if re.fullmatch(r"z\d+", name)]
@@ -303,6 +306,11 @@ def _named(path: Path, lines: list[int], names: tuple[str, ...], table: list[lis
         found["rotation"] = _from_quaternions(block(QUATERNION), str(path), lines)
     if "roll" in columns:
         found["rotation"] = _from_angles(block(ANGLES), str(path), lines)
+    if "ax" in columns:
+        vectors = block(DIRECTION)
+        length = np.linalg.norm(vectors, axis=1)
+        _refuse(length < 1e-9, str(path), lines, "the direction ax, ay, az is zero")
+        found["direction"] = vectors / length[:, None]
     if "heading" in columns:
         found["heading"] = block(["heading"])[:, 0]
         _check_angles(found["heading"][:, None], str(path), lines)

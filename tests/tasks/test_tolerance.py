@@ -10,9 +10,12 @@ import pytest
 
 from eos_pin import (
     AxisTask,
+    Chart,
     EosController,
     FollowPlan,
     InputError,
+    KeepTolerance,
+    LimitedEosController,
     OrientationTask,
     PlanError,
     PointAxisTask,
@@ -20,9 +23,11 @@ from eos_pin import (
     PositionTask,
     ToleranceTask,
     Tool,
+    Track,
     load_robot,
     plan,
     simulate,
+    simulate_sampled,
     task_from_description,
 )
 from eos_pin.trajectories.through import waypoint_path
@@ -154,3 +159,22 @@ def test_plan_exists_with_a_tolerance_where_there_is_none_without(torch):
 def test_tolerance_task_refuses_what_it_cannot_keep(ur5, kind, tolerance, reason):
     with pytest.raises(InputError, match=reason):
         ToleranceTask(kind(ur5, "tool0"), tolerance)
+
+
+def test_control_keeps_a_tolerance_that_its_law_would_leave(torch):
+    whole, poses = PoseTask(torch, "torch"), wavy()
+    task = ToleranceTask(whole, {"rz": 0.15, "cone": 0.1})
+    start = plan(whole, poses, closed=True)
+    path = waypoint_path(task, poses, np.linspace(0.0, 3.0, len(poses)), closed=True)
+    q, used = start.q[0], {}
+    for name, law in (("held", Track()), ("kept", KeepTolerance(Track(), task, path))):
+        target = path(0.0)
+        chart = Chart.from_base(task, q)
+        dq = chart.acceleration(task.linearize(q)[1], target.dz, np.zeros(chart.r))
+        controller = LimitedEosController(task, path, law, control_period=2e-3)
+        run = simulate_sampled(torch, controller, q, dq=dq, duration=0.9)
+        assert np.abs(run.error).max() < 1e-4
+        points = np.array([path(t).z for t in run.t])
+        used[name] = np.linalg.norm(task.used(whole.kinematics.value(run.q), points), axis=2).max()
+    assert used["held"] > 1.5
+    assert 0.9 < used["kept"] <= 1.0

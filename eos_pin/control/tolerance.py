@@ -1,0 +1,115 @@
+"""`KeepTolerance`: a law of the self-motion that keeps the bands of a task with tolerances."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from eos_pin._arrays import Array, JointVector, SelfMotionVector, VectorLike, checked, gains, number
+from eos_pin.charts.chart import Chart
+from eos_pin.control._sampled_law import SelfTargets
+from eos_pin.control.objectives import Objective
+from eos_pin.errors import InputError
+from eos_pin.robot.model import Robot
+from eos_pin.tasks.tolerance import ToleranceTask
+from eos_pin.trajectories.base import Target, Trajectory
+
+#: Time over which bands are differenced [s].
+STEP = 1e-3
+#: Self-motion over which slopes are differenced [rad or m].
+SMALL = 1e-5
+#: Rounds in which the bands share the change that they need, and the slope² below which a band cannot be moved.
+ROUNDS, FLAT = 60, 1e-9
+#: Part of a band that is left alone, so that what is neglected does not leave it.
+ROOM = 1e-3
+
+
+class KeepTolerance(Objective):
+    """Another law, changed the least where coordinates with a tolerance would leave their bands.
+
+    Of each band the part s that is used, squared, obeys s̈ ≤ 2 ρ (−ṡ) + ρ² (1 − s) while the task is on its own law:
+    then s ≤ 1 wherever it begins below, and not too fast towards 1 (an exponential control barrier function). Limits of
+    joints come before the bands where `LimitedEosController` cannot keep both.
+
+    Args:
+        law: The law that is changed.
+        task: The task, whose tolerance is kept.
+        reference: Path of the task, the middle of the bands.
+        rate: Rate ρ at which the edge of a band is approached [1/s].
+        kp: Gain on the task error, as the controller has it [1/s²].
+        kd: Gain on the task's velocity error, likewise [1/s].
+    """
+
+    @checked
+    def __init__(
+        self,
+        law: Objective,
+        task: ToleranceTask,
+        reference: Trajectory,
+        *,
+        rate: float = 20.0,
+        kp: float | VectorLike = 100.0,
+        kd: float | VectorLike = 20.0,
+    ) -> None:
+        self.law, self.task, self.reference = law, task, reference
+        self.rate = number(rate, "the rate", above=0.0)
+        self.kp, self.kd = (gains(k, task.m, "a gain on the task") for k in (kp, kd))
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        asked = self.law.acceleration(t, q, dq, chart)
+        point, target = self.task._at(q, dq), self.reference(t)
+        F_z = self.task.tracking_acceleration(point.z, point.dz, target, self.kp, self.kd) - point.drift
+        ddq = chart.acceleration(point.J, F_z, asked)
+        rest = np.zeros(self.task.m)
+        D = np.column_stack([chart.acceleration(point.J, rest, unit) for unit in np.eye(chart.r)])
+        # Along the motion that is asked for, and beside it along the self-motion.
+        ahead, curve = STEP * dq, 0.5 * STEP**2 * ddq
+        moved = [q, q + ahead + curve, q - ahead + curve]
+        sides = [q + side * SMALL * d for d in D.T for side in (1.0, -1.0)]
+        targets = [target.z, self.reference(t + STEP).z, self.reference(t - STEP).z] + [target.z] * len(sides)
+        s = self._used(np.array(moved + sides), np.array(targets))
+        slope = (s[3::2] - s[4::2]) / (2.0 * SMALL)
+        rate, bend = (s[1] - s[2]) / (2.0 * STEP), (s[1] - 2.0 * s[0] + s[2]) / STEP**2
+        most = -2.0 * self.rate * rate + self.rate**2 * (1.0 - s[0])
+        return asked + _smallest(slope.T, most - bend)
+
+    def _used(self, Q: Float[Array, "K n"], Z: Float[Array, "K size"]) -> Float[Array, "K B"]:
+        """Squared part of each band that is used."""
+        used = self.task.used(self.task.whole.kinematics.value(Q), Z)
+        return np.square(used).sum(axis=2) / (1.0 - ROOM) ** 2
+
+    def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
+        return Objective.sampled_targets(self, t, period, step, r)
+
+    def target_on(self, t: float, chart: Chart) -> Target | None:
+        return self.law.target_on(t, chart)
+
+    def add_user(self, controller: Any) -> None:
+        self.law.add_user(controller)
+
+    def check_start(self, t: float, q: JointVector, chart: Chart) -> None:
+        self.law.check_start(t, q, chart)
+        if chart.task.describe() != self.task.describe():
+            raise InputError(f"the tolerance is that of {self.task!r}; the controller has {chart.task!r}")
+
+    def joint_distances(self, t: Float[Array, " T"], q: Float[Array, "T n"], robot: Robot) -> Float[Array, " T"] | None:
+        return self.law.joint_distances(t, q, robot)
+
+    def check(self, n: int, r: int) -> None:
+        self.law.check(n, r)
+
+
+def _smallest(rows: Float[Array, "B r"], most: Float[Array, " B"]) -> SelfMotionVector:
+    """The shortest x with rows · x ≤ most, by Hildreth's method: each row in turn takes what it needs and no more."""
+    x, shares = np.zeros(rows.shape[1]), np.zeros(len(rows))
+    if (most >= 0.0).all():
+        return x
+    squares = np.einsum("br,br->b", rows, rows)
+    for _ in range(ROUNDS):
+        for i in np.flatnonzero(squares > FLAT).tolist():
+            share = max(0.0, shares[i] + (rows[i].dot(x) - most[i]) / squares[i])
+            x -= (share - shares[i]) * rows[i]
+            shares[i] = share
+    return x

@@ -1,0 +1,72 @@
+"""Tasks from options: tolerances, points of the world, and directions in files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from eos_pin import DistanceTask, InputError, LookAtTask, Plan, PointAxisTask, ToleranceTask, make_task, plan
+from eos_pin.experiments.options import PathOptions, TaskOptions
+from eos_pin.experiments.path_files import path_from_csv
+from eos_pin.trajectories.through import read_path
+
+Q = np.array([0.3, -1.2, 1.4, -0.8, -1.3, 0.2])
+
+
+def test_tolerance_from_options_is_planned_and_saved(ur5, tmp_path):
+    task, q = TaskOptions("pose", tolerance=("rz=0.3", "z=0.005"), q0=tuple(Q)).make(ur5, kept=True)
+    assert isinstance(task, ToleranceTask)
+    path = PathOptions("circle", size=0.08, plane="xy").make(task, q)
+    found = plan(task, path)
+    assert max(found.info["tolerance_used"].values()) <= 1.0
+    again = Plan.load(found.save(tmp_path / "plan.npz"))
+    np.testing.assert_allclose(again(1.3).q, found(1.3).q, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("words", "kept", "reason"),
+    [
+        (("rz=0.3",), False, "kept by plans"),
+        (("rz",), True, "half widths by name"),
+        (("a=1",), True, "tolerances of x"),
+    ],
+)
+def test_tolerance_is_refused_where_nothing_keeps_it(ur5, words, kept, reason):
+    with pytest.raises(InputError, match=reason):
+        TaskOptions("pose", tolerance=words).make(ur5, kept=kept)
+
+
+def test_tasks_of_points_are_made_by_kind(panda):
+    looking = make_task(panda, "look-at", point=[1.0, 0.0, 0.3], tool_axis="x")
+    assert isinstance(looking, LookAtTask)
+    task, q = TaskOptions("look-at", point=(1.0, 0.0, 0.3)).make(panda)
+    np.testing.assert_allclose(PathOptions("hold").make(task, q)(0.0).z, [0.0, 0.0, 1.0])
+    assert isinstance(make_task(panda, "distance", point=(1.0, 0.0, 0.3)), DistanceTask)
+    for kind, point in (("look-at", None), ("pose", [0.0, 0.0, 1.0])):
+        with pytest.raises(InputError, match="a point of the world"):
+            make_task(panda, kind, point=point)
+
+
+def test_directions_of_a_file_are_those_of_its_columns_or_poses(ur5, tmp_path):
+    task = PointAxisTask(ur5, "tool0", "x")
+    z = task.value(Q)
+    place, random = z[:3], np.random.default_rng(0)
+    turns = [pin.exp3(0.1 * random.normal(size=3)) @ ur5.placement(Q, "tool0").rotation for _ in range(4)]
+    places = place + 0.02 * random.normal(size=(4, 3))
+    quaternions = [pin.Quaternion(R) for R in turns]
+    named = tmp_path / "directions.csv"
+    rows = [
+        ",".join(map(repr, [*map(float, p), *map(float, 2.0 * R[:, 0])])) for p, R in zip(places, turns, strict=True)
+    ]
+    named.write_text("\n".join(["x,y,z,ax,ay,az", *rows]))
+    posed = tmp_path / "poses.csv"
+    rows = [",".join(map(str, [*p, q.w, q.x, q.y, q.z])) for p, q in zip(places, quaternions, strict=True)]
+    posed.write_text("\n".join(["x,y,z,qw,qx,qy,qz", *rows]))
+    expected = np.hstack((places, [R[:, 0] for R in turns]))
+    for file in (named, posed):
+        np.testing.assert_allclose(read_path(file, task, z).points, expected, atol=1e-9)
+        np.testing.assert_allclose(path_from_csv(file, task, Q).points, expected, atol=1e-9)
+    named.write_text("ax,ay,az\n0,0,1\n0,0,0\n")
+    with pytest.raises(InputError, match="line 3: the direction ax, ay, az is zero"):
+        read_path(named, task, z)
