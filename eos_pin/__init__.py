@@ -5,14 +5,8 @@ the robot, an `Atlas` of charts, a `Trajectory` to follow, an `EosController` th
 """
 
 import sys
-from typing import Any
-
-import lazy_loader
 
 __version__ = "0.2.0"
-
-# The public names are listed in `__init__.pyi`.
-_public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 #: Names and modules of 0.1, and what each became; the changelog has the reasons.
 _RENAMED = {
@@ -97,10 +91,24 @@ _RENAMED = {
 }
 
 
-def __getattr__(name: str) -> Any:
+# The public names are listed in `__init__.pyi`, which is read when the first of them is used: the command line comes
+# here before it can hear Ctrl-C.
+_attached: list = []  # type: ignore[type-arg]
+
+
+def __getattr__(name: str) -> object:
     if name in _RENAMED:
         raise ImportError(_renamed(name))
-    return _public(name)
+    if not _attached:
+        import lazy_loader
+
+        _attached.extend(lazy_loader.attach_stub(__name__, __file__))
+    public, _, names = _attached
+    return names if name == "__all__" else public(name)
+
+
+def __dir__() -> list[str]:
+    return [*__getattr__("__all__")]
 
 
 def _renamed(name: str) -> str:

@@ -36,6 +36,7 @@ from .control import gravity_overload as gravity_overload
 from .control import journey as journey
 from .errors import ChartError as ChartError
 from .errors import EosError as EosError
+from .errors import FunctionError as FunctionError
 from .errors import InputError as InputError
 from .errors import InverseError as InverseError
 from .errors import MissingDependencyError as MissingDependencyError

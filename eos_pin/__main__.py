@@ -8,14 +8,28 @@ import sys
 
 
 def main() -> int:
-    """Run the command line; Ctrl-C while its modules are imported ends the process at once, with code 130."""
-    before = signal.signal(signal.SIGINT, _leave)
+    """Run the command line; Ctrl-C outside of its command, while modules are imported, ends the process with code 130.
+
+    What is ignored stays ignored, such as Ctrl-C in a job in the background.
+    """
+    hears = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if hears:
+        signal.signal(signal.SIGINT, _leave)
     # Imported here: a package that is interrupted while it is imported shows a traceback, or takes it for a missing
     # dependency.
     from eos_pin.cli.main import main as command
 
-    signal.signal(signal.SIGINT, before)
-    return command()
+    try:
+        if hears:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        return command()
+    except KeyboardInterrupt:
+        _leave()
+        return 130
+    finally:
+        sys.stdout.flush()
+        if hears:
+            signal.signal(signal.SIGINT, _leave)
 
 
 def _leave(*_: object) -> None:

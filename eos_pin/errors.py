@@ -26,6 +26,10 @@ class StateError(InputError):
     """Robot state that a controller cannot use: of the wrong shape, or not finite."""
 
 
+class FunctionError(InputError):
+    """Fault in a function or class of the caller: an exception, kept as the cause, or a result that does not fit."""
+
+
 class RobotError(EosError):
     """Robot description that cannot be loaded, or whose model cannot be controlled."""
 
@@ -190,6 +194,16 @@ def renamed(**names: str) -> Callable[[F], F]:
         return target
 
     return decorate
+
+
+def take(interrupt: KeyboardInterrupt) -> None:
+    """Note that an interrupt is dealt with; the command line repeats one that is lost."""
+    interrupt.__dict__["taken"] = True
+
+
+def is_taken(interrupt: KeyboardInterrupt) -> bool:
+    """Whether somebody has dealt with an interrupt."""
+    return "taken" in interrupt.__dict__
 
 
 def suggest(name: str, available: Sequence[str], most: int = 40) -> str:

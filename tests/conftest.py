@@ -21,6 +21,8 @@ jaxtyping.install_import_hook("eos_pin", "typecheck.typecheck")
 
 import checks  # noqa: E402
 
+import eos_pin  # noqa: E402
+
 # A shell starts background jobs deaf to Ctrl-C, and so would be the processes that tests interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -39,6 +41,12 @@ hypothesis.settings.load_profile("ci")
 def panda():
     """Arm with seven revolute joints."""
     return checks.robot("panda")
+
+
+@pytest.fixture(scope="session")
+def task(panda):
+    """Position of that arm's hand, for tests that need just one task."""
+    return eos_pin.PositionTask(panda, checks.tip(panda))
 
 
 @pytest.fixture(scope="session")

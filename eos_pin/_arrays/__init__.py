@@ -1,5 +1,10 @@
 """Arrays: their aliases, the checks of values, and those of all arguments of a public function."""
 
+from eos_pin._arrays.annotations import of_type as of_type
+from eos_pin._arrays.answers import called as called
+from eos_pin._arrays.answers import number_of as number_of
+from eos_pin._arrays.answers import vector_of as vector_of
+from eos_pin._arrays.answers import vectors_of as vectors_of
 from eos_pin._arrays.arrays import ORTHONORMAL as ORTHONORMAL
 from eos_pin._arrays.arrays import Above as Above
 from eos_pin._arrays.arrays import Array as Array
@@ -15,7 +20,6 @@ from eos_pin._arrays.arrays import Vector as Vector
 from eos_pin._arrays.arrays import VectorLike as VectorLike
 from eos_pin._arrays.arrays import as_floats as as_floats
 from eos_pin._arrays.arrays import broadcast as broadcast
-from eos_pin._arrays.arrays import by_identity as by_identity
 from eos_pin._arrays.arrays import frozen_copy as frozen_copy
 from eos_pin._arrays.arrays import gains as gains
 from eos_pin._arrays.arrays import is_finite as is_finite
@@ -27,5 +31,7 @@ from eos_pin._arrays.arrays import number as number
 from eos_pin._arrays.arrays import pair as pair
 from eos_pin._arrays.arrays import vector as vector
 from eos_pin._arrays.border import Checked as Checked
+from eos_pin._arrays.border import check_answers as check_answers
 from eos_pin._arrays.border import checked as checked
 from eos_pin._arrays.border import unchecked as unchecked
+from eos_pin._arrays.values import by_value as by_value

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Annotated, Any, NamedTuple, TypeAlias, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -42,15 +42,6 @@ PositiveOrInfinite: TypeAlias = Annotated[float, Above(0.0, endless=True)]
 #: How far RᵀR may be from 1 in a rotation that is taken as it is.
 ORTHONORMAL = 1e-14
 _IDENTITY = np.eye(3)
-
-T = TypeVar("T")
-
-
-def by_identity(kind: type[T]) -> type[T]:
-    """Make tuples of arrays equal only where they are the same object; arrays have no truth value for ==."""
-    for name in ("__eq__", "__ne__", "__hash__"):
-        setattr(kind, name, getattr(object, name))
-    return kind
 
 
 def nearest(grid: Vector, values: Float[np.ndarray, " j"]) -> Array:
@@ -126,7 +117,7 @@ def pair(values: Any, name: str) -> list[Any]:
     """
     two = listed(values, name)
     if len(two) != 2:
-        raise InputError(f"{name} must be two, the least and the largest, got {len(two)}")
+        raise InputError(f"{name} must be two things, got {len(two)}")
     return two
 
 

@@ -17,7 +17,7 @@ from eos_pin._arrays import (
     JointVector,
     SelfMotionVector,
     TaskVector,
-    by_identity,
+    by_value,
     frozen_copy,
 )
 from eos_pin._kernels.dispatch import use_compiled
@@ -26,7 +26,7 @@ from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Point, Task
 
 
-@by_identity
+@by_value
 class Inverse(NamedTuple):
     """A point of the inverse kinematic map y(z, v), Eq. (13).
 

@@ -26,6 +26,7 @@ from eos_pin._arrays import (
     number,
     unchecked,
     vector,
+    vector_of,
 )
 from eos_pin.charts._newton import Inverse, walk
 from eos_pin.charts.chart import Chart
@@ -284,7 +285,7 @@ def _self_motion(v: SelfMotionPath | None, start: SelfMotionVector, count: int) 
     if v is None:
         return lambda k: start
     if callable(v):
-        return lambda k: vector(v(k), r, f"v({k})")
+        return lambda k: vector_of(f"v({k})", r, v, k)
     values = as_floats(v, "v")
     if values.ndim == 2:
         if values.shape != (count, r) or not np.isfinite(values).all():

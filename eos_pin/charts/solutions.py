@@ -7,7 +7,7 @@ from typing import Literal, TypeAlias
 
 from jaxtyping import Float, Int
 
-from eos_pin._arrays import Array, JointVector, checked
+from eos_pin._arrays import Array, JointVector, by_value, checked
 from eos_pin.charts.chart import Chart
 from eos_pin.errors import Renamed
 
@@ -17,6 +17,7 @@ Strategy: TypeAlias = Literal["continuation", "via", "search"]
 STRATEGIES: tuple[Strategy, ...] = ("continuation", "via", "search")
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class JointPath:
     """Joints along a task path, found by `Atlas.follow`.
@@ -47,6 +48,7 @@ class JointPath:
         return not self.message
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class IkSolution:
     """Joints at a task point, found by `Atlas.solve`.

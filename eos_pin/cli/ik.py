@@ -73,6 +73,9 @@ def ik(
     machine = robot.load()
     say_notes(machine)
     goal, q = task.make(machine)
+    say_notes(goal)
+    if v and goal.m == machine.n:
+        raise InputError("--v does not apply: the task takes all joints (r = 0), there is no self-motion")
     v_goal = vector(v, machine.n - goal.m, "v") if v else None
     found: JointPath | None
     if path is not None:

@@ -115,7 +115,8 @@ def _find_out(robot: Robot, options: TaskOptions) -> Findings:
     try:
         task, q = options.make(robot, kept=True)
     except InputError as error:
-        if options.q0 or options.axes or options.point or options.tolerance:
+        named = options.q0 or options.axes or options.point or options.tolerance
+        if named or options.tool_axis != TaskOptions.tool_axis:
             # Asked for in so many words: a mistake in these is one of the caller.
             raise
         zero = np.clip(np.zeros(robot.n), robot.lower, robot.upper)

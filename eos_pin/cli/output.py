@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from eos_pin.robot.model import Robot
     from eos_pin.simulation._recorder import Observer
     from eos_pin.simulation.result import Result
+    from eos_pin.tasks.base import Task
     from eos_pin.trajectories.base import Trajectory
     from eos_pin.viewer.scene import Scene
 
@@ -258,9 +259,9 @@ def print_files(files: Sequence[Path]) -> None:
         console.print("Wrote " + ", ".join(str(file) for file in files), soft_wrap=True)
 
 
-def say_notes(made: Robot | Trajectory | JointLog) -> None:
-    """Print the notes of a robot, a path or a log on the error stream: choices, changes, missing files."""
-    for note in made.notes:
+def say_notes(*made: Robot | Trajectory | Task | JointLog) -> None:
+    """Print the notes of robots, paths, tasks and logs on the error stream: choices, changes, what is missing."""
+    for note in (note for each in made for note in each.notes):
         stderr.print(f"Note: {note}", markup=False, soft_wrap=True)
 
 

@@ -71,6 +71,9 @@ class PlanPath:
         from eos_pin.trajectories.through import about, read_path
 
         if Path(self.path).suffix.lower() in (".csv", ".tsv", ".txt"):
+            for name in ("size", "centre", "plane", "period"):
+                if getattr(self, name) is not None:
+                    raise InputError(f"--{name} does not apply: it belongs to the paths eight, circle and line")
             return read_path(self.path, task, task.value(q), closed=self.closed)
         if self.path not in ("eight", "circle", "line"):
             raise InputError(f"a path is eight, circle, line, or the name of a .csv file; got {self.path!r}")
@@ -113,6 +116,20 @@ class Obstructed:
     start: tuple[float, ...] = ()
     reconfigurations: bool = False
     effort: int = 3
+
+    def check(self) -> None:
+        """Refuse options that change nothing where there is nothing to keep clear of.
+
+        Raises:
+            InputError: One of them is given.
+        """
+        if self.scene is None and not self.self_collision:
+            for name in ("clearance", "capsules"):
+                if getattr(self, name):
+                    raise InputError(
+                        f"--{name} {getattr(self, name)} does not apply: there is nothing to be clear of; add --scene "
+                        "FILE or --self-collision"
+                    )
 
     def costs(self) -> dict[Any, float] | None:
         """Costs by name with their weights; None without."""
@@ -226,9 +243,13 @@ def plan(
     files = output.within(
         None, names={"json": "plan.json", "csv": "joints.csv", "html": "replay.html", "plot": "plan.png"}
     )
+    within.check()
+    if time.timing == "fastest" and path.period is not None:
+        raise InputError(f"--period {path.period:g} does not apply: --timing fastest finds the time")
     machine = robot.load()
     say_notes(machine)
     goal, q = task.make(machine, kept=True)
+    say_notes(goal)
     curve = path.make(goal, q)
     scene = read_scene(within.scene) if within.scene is not None else None
     bodies = within.bodies(machine)

@@ -42,6 +42,8 @@ def replay(run: tyro.conf.Positional[Path], output: Output = Output(), robot: st
       eos-pin replay runs/panda-position/run.npz --html panda.html --plot panda.pdf
     """
     output.without("seed", reason="the run is over")
+    if robot and (output.csv or output.json) and not (output.html or output.plot or output.view or output.out):
+        raise InputError(f"--robot {robot} does not apply: samples and figures need no robot; leave it out")
     from eos_pin.simulation.result import Result
 
     result = Result.load(run)

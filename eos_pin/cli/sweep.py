@@ -219,8 +219,9 @@ def _check(axes: dict[str, Sequence[Any]], same: Row) -> None:
     settings = [first | {name: value} for name, values in axes.items() if name != "seed" for value in values]
     notes: dict[str, None] = {}
     for trial in {trial.key: trial for trial in (Trial.from_settings(**each) for each in settings)}.values():
-        machine, *_ = trial.prepare()
-        notes.update(dict.fromkeys(f"{machine.name}: {note}" for note in machine.notes))
+        machine, controller, *_ = trial.prepare()
+        made = [part for part in (machine, controller.reference, controller.task) if part is not None]
+        notes.update(dict.fromkeys(f"{machine.name}: {note}" for part in made for note in part.notes))
     for note in notes:
         stderr.print(f"Note: {note}", markup=False, soft_wrap=True)
 

@@ -21,6 +21,7 @@ from eos_pin.cli.output import (
     warn_of_gravity,
     write_outputs,
 )
+from eos_pin.errors import InputError
 from eos_pin.experiments.applicability import EOS
 from eos_pin.experiments.commanded import commanded_loop, run_commanded
 from eos_pin.experiments.options import (
@@ -72,7 +73,7 @@ def track(
       eos-pin track ur5 --command position --control-rate 500
       eos-pin track panda --control-rate 1000 --noise 1e-5 --model-error 0.1 --torque-limits
     """
-    check_options(path, control, simulation, seed=output.seed)
+    check_options(task, path, control, simulation, seed=output.seed, plan=plan)
     machine = robot.load()
     say_notes(machine)
     solids = obstacles_in(scene)
@@ -87,7 +88,7 @@ def track(
         if control.self_motion == "planned":
             motion = made_plan(goal, reference, q if task.q0 else None, control, output.seed)
             reference, q = motion.path, motion.q
-    say_notes(reference)
+    say_notes(reference, goal)
     law = motion.law if motion else None
     duration, period = path.length(reference), simulation.control_period
     torque = control.command == "torque"
@@ -142,12 +143,14 @@ def compare(
       eos-pin compare panda
       eos-pin compare panda --task pose --controllers eos null-space-posture --cycles 10
     """
-    check_options(path, simulation, seed=output.seed)
+    check_options(task, path, simulation, seed=output.seed)
+    if len(set(controllers)) < len(controllers):
+        raise InputError(f"each controller is compared once, got {', '.join(controllers)}")
     machine = robot.load()
     say_notes(machine)
     goal, q = task.make(machine)
     reference = path.make(goal, q)
-    say_notes(reference)
+    say_notes(reference, goal)
     duration = path.length(reference)
     results: dict[str, Result] = {}
     for kind in controllers:

@@ -16,11 +16,13 @@ from eos_pin._arrays import (
     TaskVector,
     Vector,
     VectorLike,
+    by_value,
     checked,
     frozen_copy,
     gains,
     number,
     unchecked,
+    vector_of,
 )
 from eos_pin.charts.chart import Chart
 from eos_pin.errors import InputError, Renamed
@@ -29,6 +31,7 @@ from eos_pin.tasks.base import Point, Task, TaskPoint
 from eos_pin.trajectories.base import Target, Trajectory, check_reference
 
 
+@by_value
 class ControlReport(NamedTuple):
     """Torque of a controller in one state, and its effect on the task.
 
@@ -316,7 +319,7 @@ class TaskController(Controller):
         if not self.feedforward:
             rest = np.zeros(self.task.m)
             target = Target(target.z, rest, rest)
-        return self.task.tracking_acceleration(point.z, point.dz, target, self.kp, self.kd)
+        return self.task._tracking_acceleration(point.z, point.dz, target, self.kp, self.kd)
 
     _task_acceleration = unchecked(task_acceleration)
 
@@ -349,4 +352,4 @@ class OpenLoop(Controller):
         self.tau = tau
 
     def torque(self, t: float, q: JointVector, dq: JointVector, state: Any) -> JointVector:
-        return np.asarray(self.tau(t), dtype=float)
+        return vector_of("tau of an OpenLoop", q.size, self.tau, t)

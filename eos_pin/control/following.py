@@ -18,6 +18,7 @@ from eos_pin._arrays import (
     number,
     unchecked,
     vector,
+    vectors_of,
 )
 from eos_pin.charts.chart import Chart
 from eos_pin.control._sampled_law import SelfTargets, decay
@@ -58,7 +59,7 @@ class FollowJoints(Objective):
     ) -> None:
         self.joints = joints
         self.within = number(within, "the distance at the start", above=0.0)
-        n = len(joints(0.0)[0])
+        n = self._asked(0.0)[0].size
         self.kp, self.kd = (frozen_copy(gains(k, n, "a gain on joints")) for k in (kp, kd))
         self._last: tuple[float, tuple[JointVector, JointVector, JointVector]] | None = None
 
@@ -67,17 +68,22 @@ class FollowJoints(Objective):
         """Joints, velocities and accelerations at time t; that of the last call is kept."""
         last = self._last
         if last is None or last[0] != t:
-            last = self._last = t, self.joints(t)
+            last = self._last = t, self._asked(t)
         return last[1]
 
     _at = unchecked(at)
+
+    def _asked(self, t: float) -> tuple[JointVector, JointVector, JointVector]:
+        size = self.kp.size if "kp" in vars(self) else None
+        q, dq, ddq = vectors_of("joints to follow", 3, size, self.joints, t)
+        return q, dq, ddq
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         q_d, dq_d, ddq_d = self._at(t)
         return chart._dv(ddq_d + self.kd * (dq_d - dq) + self.kp * chart.task.robot._way(q, q_d))
 
     def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
-        (now, velocity, _), (ahead, _, _) = self._at(t), self.joints(t + step)
+        (now, velocity, _), (ahead, _, _) = self._at(t), self._asked(t + step)
         factors = decay(self.kp, self.kd, period)
         return SelfTargets(self.joints, period, now, ahead, now - step * velocity, factors, joints=True)
 
@@ -99,6 +105,8 @@ class FollowJoints(Objective):
         return float(abs(wanted - q if robot is None else robot._way(q, wanted)).max())
 
     def joint_distances(self, t: Float[Array, " T"], q: Float[Array, "T n"], robot: Robot) -> Float[Array, " T"]:
+        if len(t) != len(q):
+            raise InputError(f"joints are needed for each of {len(t)} times, got {len(q)} rows")
         return np.array([self.distance(float(s), row, robot) for s, row in zip(t, q, strict=True)])
 
     def check_start(self, t: float, q: JointVector, chart: Chart) -> None:

@@ -11,11 +11,16 @@ import numpy as np
 from eos_pin._arrays import (
     Jacobian,
     JointVector,
+    Positive,
+    PositiveOrInfinite,
     TaskVector,
     VectorLike,
+    by_value,
+    checked,
     frozen_copy,
     gains,
     number,
+    of_type,
     vector,
 )
 from eos_pin.charts.atlas import Atlas
@@ -44,6 +49,7 @@ CHANGING = {"kp", "kd", "reference", "self_motion", "limits"}
 NONE = 1e30
 
 
+@by_value
 class Command(NamedTuple):
     """Command for joints that take positions or velocities.
 
@@ -101,30 +107,26 @@ class KinematicLoop:
         InputError: An argument does not fit the task, or a limit of acceleration is infinite.
     """
 
+    @checked
     def __init__(
         self,
         task: Task,
         reference: Trajectory,
         self_motion: Objective | None = None,
         *,
-        control_period: float,
+        control_period: Positive,
         limits: JointLimits | None = None,
         kp: float | VectorLike = 100.0,
         kd: float | VectorLike = 20.0,
         atlas: Atlas | None = None,
-        jump: float = 0.2,
-        most_lag: float = 0.5,
+        jump: PositiveOrInfinite = 0.2,
+        most_lag: PositiveOrInfinite = 0.5,
     ) -> None:
-        self._period = number(control_period, "the control period", above=0.0)
-        self._jump, self._most_lag = (
-            math.inf if value == math.inf else number(value, name, above=0.0)
-            for value, name in ((jump, "the largest jump"), (most_lag, "the largest lag"))
-        )
+        self._period, self._jump, self._most_lag = control_period, jump, most_lag
         if atlas is not None and atlas.task is not task:
             raise InputError("the atlas of a KinematicLoop must be of the loop's own task object")
         self.task, self.robot, self.atlas = task, task.robot, atlas or Atlas(task)
-        self._smallest = SmallestChange(task.m, task.robot.n)
-        self._eye = np.eye(task.robot.n)
+        self._smallest, self._eye = SmallestChange(task.m, task.robot.n), np.eye(task.robot.n)
         self.pace: float = 1.0
         self._ahead: tuple[Any, float, Target] | None = None
         self._version = object()
@@ -147,9 +149,9 @@ class KinematicLoop:
         elif name == "reference":
             check_reference(self.task, value)
         elif name == "self_motion":
-            value.check(n, n - m)
+            of_type(value, "the self-motion", Objective).check(n, n - m)
         elif name == "limits":
-            object.__setattr__(self, "_box", VelocityBox(value, n, self._period))
+            object.__setattr__(self, "_box", VelocityBox(of_type(value, "the limits", JointLimits), n, self._period))
         elif name == "pace":
             value = number(value, "the pace", at_least=0.0)
         elif name in ("task", "robot", "atlas") and name in vars(self):
@@ -233,15 +235,13 @@ class KinematicLoop:
             self._state = following
             return Command(following.q.copy(), following.dq.copy())
         try:
-            seen = np.array(vector(q, self.robot.n, "q"))
+            seen, t = np.array(vector(q, self.robot.n, "q")), number(t, "t")
         except InputError as error:
             raise StateError(f"no command for this state: {error}") from None
         if state is None:
-            if not math.isfinite(t):
-                raise StateError(f"no command at this time: it must be finite, got {t!r}")
             state = self._begun(t, seen)
         else:
-            if not state.t <= t < math.inf:
+            if t < state.t:
                 raise StateError(
                     f"no command at this time: t = {t!r} comes after {state.t!r} s. Use a monotonic clock, or reset() "
                     "the loop to start a new run"
@@ -272,14 +272,14 @@ class KinematicLoop:
     def _ordinary(self, t: float, q: VectorLike, state: KinematicState) -> KinematicState | None:
         """State after the step at time t where nothing is out of the ordinary; None where `_next` is to look."""
         on, h, pace = state.on, self._period, state.pace
-        if on.law is None or on.made_of is not self._version or pace != self.pace:
+        if on.law is None or on.made_of is not self._version or pace != self.pace or not isinstance(t, float):
             return None
         if not abs(t - state.t - h) <= LATE * h:
             return None
         s = t - state.behind - (1.0 - pace) * (t - state.t)
         z_d, z_d_ahead, asked, v_d, of = self._target(s).z, self._target(s + h * pace).z, None, None, None
         if on.law.held is None:
-            law = self.self_motion.sampled_targets(s, h, h * pace, self.robot.n - self.task.m)
+            law = self.self_motion._sampled_targets(s, h, h * pace, self.robot.n - self.task.m)
             v_d, of, before = law.now, law.of, state.v_d if state.objective is law.of else None
             asked = law.acceleration(t, self.robot, on.chart, state.q, state.dq, before)
         more = None if on.carried is None else on.left(t, state.dq)
@@ -299,7 +299,7 @@ class KinematicLoop:
         # Path time stays behind while the pace is less than 1.
         behind, pace = state.behind + (1.0 - state.pace) * (t - state.t), state.pace
         s = t - behind
-        now, law = self._target(s), self.self_motion.sampled_targets(s, h, h * pace, r)
+        now, law = self._target(s), self.self_motion._sampled_targets(s, h, h * pace, r)
         # Where the last target is another's or of another time, the velocity takes its place.
         z_d_before = state.z_d if known else task._plus(now.z, -h * pace * now.dz)
         if not known or state.objective is not law.of or state.v_d is None:
@@ -312,7 +312,7 @@ class KinematicLoop:
 
         def solved(pace: float) -> _Solved:
             goal = task._plus(self._target(s + h * pace).z, error)
-            v_d = self.self_motion.sampled_targets(s, h, h * pace, r)
+            v_d = self.self_motion._sampled_targets(s, h, h * pace, r)
             return _Solved(*self._acceleration(t, state, v_d, J, task._minus(goal, z_p) / h**2), goal, v_d)
 
         least, most = self._box(q, u)

@@ -24,6 +24,7 @@ from eos_pin._arrays import (
     VectorLike,
     as_floats,
     broadcast,
+    by_value,
     checked,
     frozen_copy,
     number,
@@ -62,6 +63,7 @@ RAMP, ACCELERATION = 0.25, 10.0
 CLEAR = 20.0
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class JointLimits:
     """Limits of every joint; infinite where there is no limit.

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 from weakref import WeakSet
 
 from jaxtyping import Float
@@ -22,11 +22,13 @@ from eos_pin._arrays import (
     SelfMotionVector,
     VectorLike,
     broadcast,
+    by_value,
     checked,
     frozen_copy,
     gains,
     unchecked,
     vector,
+    vector_of,
 )
 from eos_pin._kernels.overrides import stands_for
 from eos_pin.charts.chart import Chart
@@ -34,6 +36,14 @@ from eos_pin.control._sampled_law import SelfTargets, decay
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.trajectories.base import Hold, Target, Trajectory
+
+
+@runtime_checkable
+class Renewed(Protocol):
+    """A controller that makes the parts anew that it has made of an objective."""
+
+    def renew(self) -> None:
+        """Make them anew at the next torque."""
 
 
 class Objective(Checked, ABC):
@@ -66,6 +76,7 @@ class Objective(Checked, ABC):
         """
         return None
 
+    @checked
     def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
         """Targets around time t, for a loop that commands motion; by default the law counts as an acceleration.
 
@@ -78,7 +89,7 @@ class Objective(Checked, ABC):
         return SelfTargets(self, period)
 
     @checked
-    def add_user(self, controller: Any) -> None:
+    def add_user(self, controller: Renewed) -> None:
         """Note a controller whose `renew()` is to be called when the values of `held_law` change."""
 
     @checked
@@ -110,6 +121,7 @@ class Objective(Checked, ABC):
     _target = unchecked(target)
     _target_on = unchecked(target_on)
     _held_law = unchecked(held_law)
+    _sampled_targets = unchecked(sampled_targets)
     _add_user = unchecked(add_user)
     _check = unchecked(check)
 
@@ -215,7 +227,7 @@ class Track(Objective):
         at, later = reference(t), reference(t + step)
         return SelfTargets(reference, period, at.z, later.z, at.z - step * at.dz, factors)
 
-    def add_user(self, controller: Any) -> None:
+    def add_user(self, controller: Renewed) -> None:
         self.users.add(controller)
 
     def target(self, t: float, r: int) -> Target:
@@ -276,6 +288,7 @@ class Posture(Objective):
             raise InputError(f"the posture has {self.q.size} joints, the robot {n}")
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class ReduceKineticEnergy(Objective):
@@ -313,6 +326,7 @@ class ReduceKineticEnergy(Objective):
         return self.robot.with_gravity(0.0)
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class DescendPotential(Objective):
@@ -329,7 +343,8 @@ class DescendPotential(Objective):
     kd: NonNegative = 0.0
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        return chart._dv(-self.gain * self.gradient(q) - self.kd * dq)
+        slope = vector_of("gradient of a DescendPotential", q.size, self.gradient, q)
+        return chart._dv(-self.gain * slope - self.kd * dq)
 
 
 class SumObjective(Objective):

@@ -19,6 +19,7 @@ from eos_pin._arrays import (
     JointVector,
     NonNegative,
     VectorLike,
+    by_value,
     checked,
     unchecked,
 )
@@ -59,6 +60,7 @@ class FreeNullSpace(NullSpaceLaw):
         return np.zeros(robot.n)
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class EnergyNullSpace(NullSpaceLaw):
     """Negative gradient of the kinetic energy; Eq. (38).

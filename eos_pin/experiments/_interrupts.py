@@ -1,23 +1,29 @@
-"""Ctrl-C that comes where it can be dealt with."""
+"""Ctrl-C that comes where it can be dealt with, and that ends the command whoever catches it."""
 
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from _thread import interrupt_main
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from eos_pin.errors import is_taken
+
 #: While modules are imported, Ctrl-C is tried again after this time [s].
 AGAIN = 0.02
+#: After this time [s] it is looked whether the interrupt is still on its way.
+LOOK = 0.2
 
 
 @contextmanager
 def patient_interrupts() -> Iterator[None]:
-    """Let Ctrl-C wait until no module is being imported.
+    """Let Ctrl-C wait until no module is being imported, and repeat it where it was lost.
 
-    Packages that are interrupted while they are imported take that for a missing dependency and go on, or crash.
+    Packages that are interrupted while they are imported take that for a missing dependency and go on, or crash. Others
+    catch whatever is raised while they read a file, and destructors drop it.
 
     Raises:
         KeyboardInterrupt: Ctrl-C, at the latest where the block ends.
@@ -27,14 +33,34 @@ def patient_interrupts() -> Iterator[None]:
         yield
         return
     waiting: list[threading.Timer] = []
+    raised: list[KeyboardInterrupt] = []
+    repeated = threading.Event()
+
+    def repeat() -> None:
+        repeated.set()
+        _again()
+
+    def look_after(seconds: float) -> None:
+        waiting[:] = [threading.Timer(seconds, repeat)]
+        waiting[0].daemon = True
+        waiting[0].start()
 
     def handle(number: int, frame: FrameType | None) -> None:
         waiting.clear()
-        if not _imports(frame):
-            raise KeyboardInterrupt
-        waiting.append(threading.Timer(AGAIN, _again))
-        waiting[0].daemon = True
-        waiting[0].start()
+        if repeated.is_set() and raised:
+            repeated.clear()
+            if is_taken(raised[0]):
+                return
+            if _is_handled(raised[0]):
+                look_after(LOOK)
+                return
+        repeated.clear()
+        if _imports(frame):
+            look_after(AGAIN)
+            return
+        raised[:] = [KeyboardInterrupt()]
+        look_after(LOOK)
+        raise raised[0]
 
     signal.signal(signal.SIGINT, handle)
     try:
@@ -43,7 +69,7 @@ def patient_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         for timer in waiting:
             timer.cancel()
-    if waiting:
+    if waiting and not (raised and is_taken(raised[0])):
         raise KeyboardInterrupt
 
 
@@ -62,3 +88,11 @@ def _imports(frame: FrameType | None) -> bool:
             return True
         frame = frame.f_back
     return False
+
+
+def _is_handled(interrupt: KeyboardInterrupt) -> bool:
+    """Whether an interrupt is on its way: files are closed and processes ended for it, or for what followed it."""
+    error = sys.exc_info()[1]
+    while error is not None and error is not interrupt:
+        error = error.__context__
+    return error is not None

@@ -64,6 +64,11 @@ RULES = (
         "positions and velocities go to an ideal joint servo; leave --command out for torques",
     ),
     Rule(("acceleration",), lambda s: not _is_torque(s), "torques are commanded; add --command position"),
+    Rule(
+        ("task", "axes", "tool_axis", "path", "size", "plane", "period", "self_motion", "v", "swing"),
+        lambda s: s["plan"] is None,
+        "--plan has a task, a path and a self-motion of its own; leave one of them out",
+    ),
     Rule(("size", "plane", "period"), lambda s: s["path"] in DRAWN, "it belongs to the paths eight, circle and line"),
     Rule(("cycles",), lambda s: s["duration"] is None, "the duration is given; leave one of them out"),
     Rule(("cycles",), lambda s: s["path"] != "hold", "a robot that holds still has no rounds; give --duration"),

@@ -16,7 +16,7 @@ from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import SINGULAR_VALUE_FLOOR
 from eos_pin.errors import InputError
-from eos_pin.experiments.shapes import SHAPES, Shape, drawn, lengths, planes, sizes
+from eos_pin.experiments.shapes import SHAPES, Shape, drawn, planes, sizes
 from eos_pin.experiments.strength import EASY, gravity_load, slowdown_for_torque
 from eos_pin.robot.loading import default_frame
 from eos_pin.robot.model import Robot
@@ -139,7 +139,7 @@ def fitting_path(
         if any(given is not None for given in (size, plane, period)):
             raise InputError("a path that holds still has no size, plane or period; leave them out")
         return task.aim() if isinstance(task, LookAtTask) else Hold(z, task.m)
-    free = lengths(task)
+    free = task.lengths
     if not free:
         raise InputError(f"{task!r} has no coordinates of length to draw a path in; use the shape 'hold'")
     if regularity(task, q) < PASSABLE and (size is None or plane is None):
@@ -216,6 +216,10 @@ def make_task(
     """
     if kind not in TASK_KINDS:
         raise InputError(f"the kind of a task is one of {', '.join(TASK_KINDS)}; got {kind!r}")
+    if tool_axis != "z" and kind not in ("axis", "point-axis"):
+        raise InputError(
+            f"a tool axis, {tool_axis!r}, does not apply to a task of {kind}: it belongs to axis and point-axis"
+        )
     frame = frame or default_frame(robot)
     if (point is None) != (kind not in ("look-at", "distance")):
         raise InputError(f"a point of the world is for the tasks look-at and distance, which need one; got {kind!r}")

@@ -119,6 +119,8 @@ class PathOptions:
             return self.duration
         if np.isfinite(reference.period):
             return self.cycles * reference.period
+        if self.cycles != PathOptions.cycles:
+            raise InputError(f"--cycles {self.cycles} does not apply: the path does not repeat; give --duration")
         return max(reference.duration, 5.0) if np.isfinite(reference.duration) else 10.0
 
 
@@ -200,10 +202,12 @@ class ControlOptions:
 
         gains = {"kp": self.kp_self_motion, "kd": self.kd_self_motion}
         r = task.robot.n - task.m
-        if not r and (self.swing or self.v or self.self_motion != "hold"):
+        named = ("v", "swing", "self_motion", "kp_self_motion", "kd_self_motion", "chart_margin")
+        if not r and any(getattr(self, name) != getattr(ControlOptions, name) for name in named):
+            options = ", ".join("--" + name.replace("_", "-") for name in named)
             raise InputError(
-                "there is no self-motion to command: the task takes all joints (r = 0). Leave out --v, --swing and "
-                "--self-motion, count fewer axes, or choose a task with fewer coordinates"
+                "there is no self-motion to command: the task takes all joints (r = 0). Leave out "
+                f"{options}, count fewer axes, or choose a task with fewer coordinates"
             )
         if self.self_motion == "planned":
             raise InputError(
@@ -350,15 +354,15 @@ class RunOptions:
 
 
 #: Every option of a run that applies only beside some others, at its default.
-_DEFAULTS = {each.name: each.default for kind in (PathOptions, ControlOptions, RunOptions) for each in fields(kind)}
-_DEFAULTS["seed"] = 0
+_GROUPS = (TaskOptions, PathOptions, ControlOptions, RunOptions)
+_DEFAULTS = {each.name: each.default for kind in _GROUPS for each in fields(kind)} | {"seed": 0, "plan": None}
 
 
-def check_options(*groups: PathOptions | ControlOptions | RunOptions, seed: int = 0) -> None:
-    """Refuse options that change nothing beside the others.
+def check_options(*groups: Any, seed: int = 0, plan: Path | None = None) -> None:
+    """Refuse options of a run, one group or more, that change nothing beside the others.
 
     Raises:
         InputError: An option does not apply; says why.
     """
     given = {name: value for group in groups for name, value in vars(group).items()}
-    check_applicable(given | {"seed": seed}, _DEFAULTS)
+    check_applicable(given | {"seed": seed, "plan": plan}, _DEFAULTS)

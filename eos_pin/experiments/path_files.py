@@ -19,12 +19,8 @@ from eos_pin._arrays import (
 from eos_pin.charts.atlas import Atlas
 from eos_pin.errors import InputError
 from eos_pin.experiments.defaults import ROOM
-from eos_pin.tasks.axis import AxisTask, PointAxisTask
 from eos_pin.tasks.base import Point, Task
 from eos_pin.tasks.extent import check_reach
-from eos_pin.tasks.orientation import HeadingTask, OrientationTask, PoseTask
-from eos_pin.tasks.position import ComTask, PositionTask
-from eos_pin.tasks.stacked import StackedTask
 from eos_pin.tasks.tolerance import ToleranceTask
 from eos_pin.trajectories.base import Hold, Trajectory
 from eos_pin.trajectories.spline import check_rows, cubic_spline, rotation_spline, shifted
@@ -39,6 +35,8 @@ PACE = 0.25
 LONG, SLOW = 600.0, 2e-3
 #: Points of a path for which joints are looked for, at most.
 MOST_POINTS = 300_000
+#: Kinds of the parts of a pose.
+POSE = ("number", "rotation")
 TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 
 
@@ -75,7 +73,7 @@ def path_from_csv(path: str | Path, task: Task, q: JointVector, *, patient: bool
     check_rows(table)
     given = _of_task(table, task)
     z0 = task.value(q)
-    if given.vectors is None and isinstance(task, PoseTask):
+    if given.vectors is None and task.form == POSE:
         given = given._replace(vectors=np.tile(z0[:3], (len(table), 1)))
     if given.vectors is not None:
         check_reach(task, given.vectors, str(table.source), table.lines)
@@ -105,11 +103,11 @@ def task_point(task: Task, values: VectorLike, q: JointVector) -> Point:
         InputError: Another count, no rotation, or out of reach.
     """
     array = vector(values, None, "the task point")
-    if isinstance(task, PoseTask):
+    if task.form == POSE:
         position, rotation = pose_numbers(array[None], "the task point")
         rest = task.value(q)[3:] if rotation is None else rotation.ravel()
         z = task.point(np.concatenate((position[0], rest)))
-    elif isinstance(task, OrientationTask):
+    elif task.form == ("rotation",):
         z = task.point(_turns(array[None], "the task point").ravel())
     elif array.size != task.size:
         raise InputError(
@@ -148,41 +146,40 @@ def _of_task(table: Waypoints, task: Task) -> _Coordinates:
     if table.values is not None:
         return _unnamed(table, task, table.values)
     source = table.source
-    if isinstance(task, (PositionTask, ComTask)):
-        if table.rotation is not None or table.heading is not None:
+    place, turning = task.axes, table.rotation is not None or table.heading is not None
+    if len(place) == task.size:
+        if turning:
             raise InputError(
                 f"{source} also has orientations ({', '.join(table.columns)}), but the task is a position. Choose the "
                 "task pose, or leave these columns out"
             )
-        vectors, spare = _along(table, task.axes)
+        vectors, spare = _along(table, place)
         return _Coordinates(vectors, None, spare)
-    if isinstance(task, PoseTask):
+    if task.form == POSE:
         if table.heading is not None:
             raise InputError(f"{source}: heading is for planar robots; a pose in space takes roll, pitch, yaw")
-        return _Coordinates(None if table.position is None else _along(table, "xyz")[0], table.rotation)
+        return _Coordinates(None if table.position is None else _along(table, place)[0], table.rotation)
     spare = (f"columns {', '.join(table.axes)} of {source} do not count: {task!r}",) if table.axes else ()
-    if isinstance(task, (AxisTask, PointAxisTask)) and table.heading is None:
+    if task.form in (("direction",), ("number", "direction")) and table.heading is None:
         directions = directions_in(table, task)
-        if directions is None and isinstance(task, PointAxisTask):
+        if directions is None and place:
             # The direction of the axis stays.
-            return _Coordinates(_along(table, "xyz")[0])
+            return _Coordinates(_along(table, place)[0])
         if directions is not None:
-            places = _along(table, "xyz")[0] if isinstance(task, PointAxisTask) else directions[:, :0]
+            places = _along(table, place)[0] if place else directions[:, :0]
             return _Coordinates(places if places.size else None, points=np.hstack((places, directions)))
-    if isinstance(task, OrientationTask):
+    if task.form == ("rotation",):
         if table.rotation is None:
             raise InputError(f"{source}: an orientation takes qw, qx, qy, qz or roll, pitch, yaw")
         return _Coordinates(None, table.rotation, spare)
+    if place and not turning and task.form in (("number", "direction"), ("number", "angle")):
+        # The direction or the heading stays.
+        vectors, spare = _along(table, place)
+        return _Coordinates(vectors, None, spare)
     if table.rotation is not None:
         raise InputError(f"{source}: {task!r} takes a heading, not an orientation in space")
-    if isinstance(task, HeadingTask) and table.heading is not None:
-        vectors, notes = _unwrapped(table, task, table.heading[:, None])
-        return _Coordinates(vectors, None, (*spare, *notes))
-    parts = task.tasks if isinstance(task, StackedTask) else ()
-    if len(parts) == 2 and isinstance(parts[0], PositionTask) and isinstance(parts[1], HeadingTask):
-        vectors, spare = _along(table, parts[0].axes)
-        if table.heading is None:
-            return _Coordinates(vectors, None, spare)
+    if table.heading is not None and task.form in (("angle",), ("number", "angle")):
+        vectors, spare = _along(table, place) if place else (np.empty((len(table), 0)), spare)
         vectors, notes = _unwrapped(table, task, np.column_stack((vectors, table.heading)))
         return _Coordinates(vectors, None, (*spare, *notes))
     raise InputError(
@@ -207,11 +204,11 @@ def _along(table: Waypoints, axes: str) -> tuple[Array, tuple[str, ...]]:
 def _unnamed(table: Waypoints, task: Task, values: Float[Array, "K k"]) -> _Coordinates:
     """Task coordinates in the columns z1, …, zm."""
     width, source = values.shape[1], str(table.source)
-    if isinstance(task, PoseTask):
+    if task.form == POSE:
         return _Coordinates(*pose_numbers(values, source, table.lines))
-    if isinstance(task, OrientationTask):
+    if task.form == ("rotation",):
         return _Coordinates(None, _turns(values, source, table))
-    first = task.tasks[0].m if isinstance(task, StackedTask) else task.m
+    first = task.channels()[0].part.stop
     if task.size != task.m or width not in (first, task.m):
         raise InputError(
             f"{source}: its rows have {width} coordinates, but {task!r} has {task.m} ({', '.join(task.labels)}). The "

@@ -10,19 +10,12 @@ import numpy as np
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
-from eos_pin.tasks.stacked import StackedTask
 from eos_pin.trajectories.base import Hold, Trajectory
 from eos_pin.trajectories.harmonic import Harmonic, circle, figure_eight, line
 from eos_pin.trajectories.stacked import StackedTrajectory
 
 Shape: TypeAlias = Literal["eight", "circle", "line", "hold"]
 SHAPES: tuple[Shape, ...] = ("eight", "circle", "line", "hold")
-
-
-def lengths(task: Task) -> list[str]:
-    """Axes of the task's first coordinates that are lengths, in order."""
-    first = task.tasks[0] if isinstance(task, StackedTask) else task
-    return [label for label in first.labels if label in ("x", "y", "z")]
 
 
 def planes(free: Sequence[str], shape: Shape) -> list[str]:

@@ -18,11 +18,12 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import IO, Any
 
-from eos_pin._arrays import checked
+from eos_pin._arrays import called, checked
 from eos_pin._files import write_atomically
 from eos_pin.errors import EosError, InputError, MissingDependencyError
 from eos_pin.experiments.trial import Row, Trial
@@ -62,7 +63,7 @@ def sweep(
     files = {} if folder is None else {key: Path(folder) / f"{key}.json" for key in wanted}
     kept = {key: _read(file) for key, file in files.items()}
     found = {key: figures for key, figures in kept.items() if figures is not None}
-    tell = observer or (lambda done, of: None)
+    tell = partial(called, "the observer", observer or (lambda done, of: None))
     tell(len(found), len(wanted))
     # One at a time: a run takes seconds, and is kept as soon as it is finished.
     pool = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)

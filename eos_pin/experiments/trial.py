@@ -137,7 +137,7 @@ class Trial:
         Raises:
             EosError: The settings do not fit the robot, or each other.
         """
-        check_options(self.path, self.control, self.simulation)
+        check_options(self.task, self.path, self.control, self.simulation)
         robot = self.robot.load()
         task, q = self.task.make(robot)
         path = self.path.make(task, q)

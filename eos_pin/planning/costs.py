@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, number
-from eos_pin.errors import InputError, UnknownNameError
+from eos_pin._arrays import Array, number, vector_of
+from eos_pin.errors import FunctionError, InputError, UnknownNameError
 from eos_pin.planning.obstacles.bodies import Clearances
 from eos_pin.tasks.batch import Manifold, ranges
 
@@ -76,12 +77,20 @@ def costs_of(
             Q = _typical(manifold).T
             weights = weights + factor * np.mean([np.diag(robot._mass(q)) for q in Q], axis=0)
         elif callable(what):
-            parts.append((factor, what))
+            parts.append((factor, partial(_answer, what)))
         else:
             parts.append((factor, _named(what, manifold, bounds, clearances, reference)))
     if not parts:
         return Costs(weights, None)
-    return Costs(weights, lambda Q: np.sum([f * np.asarray(part(Q), dtype=float) for f, part in parts], axis=0))
+    return Costs(weights, lambda Q: np.sum([f * part(Q) for f, part in parts], axis=0))
+
+
+def _answer(cost: PostureCost, Q: Float[Array, "K n"]) -> Float[Array, " K"]:
+    """Values of a cost function of the caller."""
+    values = vector_of("the cost function", len(Q), cost, Q)
+    if not np.isfinite(values).all():
+        raise FunctionError(f"the result of the cost function must be finite, got {values.tolist()}")
+    return values
 
 
 def _named(

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, JointVector, Vector, VectorLike, as_floats, checked, frozen_copy
+from eos_pin._arrays import Array, JointVector, Vector, VectorLike, as_floats, by_value, checked, frozen_copy
 from eos_pin.errors import InputError
 from eos_pin.planning.plans import Plan
 from eos_pin.robot.model import Robot
@@ -19,6 +19,7 @@ DENSITY, FEWEST, MOST = 6, 600, 6000
 ROUNDING = 1e-9
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class MotionLimits:
     """Limits of the motion of a robot's joints; infinite where there is none.
@@ -33,7 +34,13 @@ class MotionLimits:
     acceleration: JointVector
     torque: JointVector
 
+    def __post_init__(self) -> None:
+        n = as_floats(self.velocity, "velocity").size
+        for what in ("velocity", "acceleration", "torque"):
+            object.__setattr__(self, what, frozen_copy(_positive(getattr(self, what), n, what)))
+
     @classmethod
+    @checked
     def of(
         cls,
         robot: Robot,

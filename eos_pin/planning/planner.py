@@ -5,11 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from eos_pin._arrays import Array, VectorLike, as_floats, checked, listed
-from eos_pin.errors import InputError, PlanError
+from eos_pin._arrays import Array, VectorLike, as_floats, called, checked, listed
+from eos_pin.errors import InputError, PlanError, take
 from eos_pin.planning.attempts import Progress, Search
 from eos_pin.planning.costs import Cost
 from eos_pin.planning.grid import grid_of
@@ -98,6 +99,7 @@ def plan(
         PlanError: No motion was found; says where it ended, what is in the way there, and what would help.
     """
     began = time.perf_counter()
+    progress = partial(called, "progress", progress)
     grid = grid_of(task, path, closed=closed, times=times)
     problem = problem_of(Manifold(task), scene, bodies, self_collision, clearance, margin, limits, cost, weights, start)
     timed = grid.timed if keep_time is None else keep_time
@@ -113,7 +115,8 @@ def plan(
             search.begin_from(_rows(guess, (grid.count, task.robot.n)))
         q = search.run(effort)
         refused = search.refusal() if q is None else None
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
+        take(interrupt)
         q, status = search.best, "interrupted"
         refused = PlanError("stopped before any motion was found", stopped=True) if q is None else None
     if refused is not None or q is None:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import lapack
 
-from eos_pin._arrays import Array, checked, frozen_copy, number
+from eos_pin._arrays import Array, by_value, checked, frozen_copy, number
 from eos_pin._files import write_atomically
 from eos_pin.errors import InputError, PlanError, ResultError
 from eos_pin.planning.curves import spline
@@ -32,6 +32,7 @@ EXACT, MOST_STEPS = 1e-12, 12
 FORMAT = 1
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Joints q(t) along a task path, with G(q(t)) = z(t) at every time and continuous accelerations.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -76,7 +76,7 @@ class Problem:
     def bands(self) -> ToleranceTask | None:
         """The task, if it has bands to be kept."""
         task = self.manifold.task
-        return task if isinstance(task, ToleranceTask) else None
+        return cast("ToleranceTask", task) if task.bands else None
 
     @cached_property
     def whole(self) -> Manifold | None:
@@ -227,6 +227,10 @@ def problem_of(
             bodies = Bodies(robot, bodies.capsules, ())
         clearances = Clearances(bodies, scene or Scene())
     gap = number(clearance, "the clearance", at_least=0.0)
+    if clearances is None and (gap or bodies is not None):
+        raise InputError(
+            f"{'a clearance' if gap else 'bodies'} without a scene or self_collision: there is nothing to be clear of"
+        )
     lower, upper = lower + room_of, upper - room_of
     middle = np.clip(0.0, lower, upper)
     if reference is not None:

@@ -14,9 +14,13 @@ from matplotlib.patheffects import withStroke
 from eos_pin._arrays import (
     Array,
     VectorLike,
+    called,
     checked,
+    listed,
+    number,
     vector,
 )
+from eos_pin.errors import InputError
 from eos_pin.plots._style import (
     ACTUAL,
     GREEN,
@@ -70,6 +74,8 @@ def plot_key_frames(
     if times is None:
         times = key_times(result, per_cycle=8, first=max(result.cycles - 1, 0))
     times = vector(times, None, "times")
+    if not times.size:
+        raise InputError("times must be one or more")
     if trace is None:
         trace = [result.frame] if result.frame else leaf_frames(robot)
     shades = np.linspace(0.2, 1.0, len(times)) ** 1.5 if len(times) > 1 else np.ones(1)
@@ -134,12 +140,20 @@ def _path_of(robot: Robot, frame: str, qs: Float[Array, "K n"]) -> Float[Array, 
 
 def _draw_discs(ax: Axes, obstacles: Obstacles, times: list[float], shades: list[float]) -> None:
     if callable(obstacles):
-        layers = [(obstacles(t), shade) for t, shade in zip(times, shades, strict=True)]
+        found = [called("obstacles", obstacles, t) for t in times]
+        layers = [(_discs(discs), shade) for discs, shade in zip(found, shades, strict=True)]
     else:
-        layers = [(obstacles, 1.0)]
+        layers = [(_discs(obstacles), 1.0)]
     for discs, shade in layers:
         for x, y, radius in discs:
             ax.add_patch(Circle((x, y), radius, color=faded(LIMIT, 0.5 * shade), zorder=1))
+
+
+def _discs(discs: Any) -> list[list[float]]:
+    rows = [vector(disc, 3, "each disc: x, y and its radius").tolist() for disc in listed(discs, "obstacles")]
+    for *_, radius in rows:
+        number(radius, "the radius of a disc", at_least=0.0)
+    return rows
 
 
 def _label_times(ax: Axes, times: list[float], tips: Float[Array, "K 2"]) -> None:

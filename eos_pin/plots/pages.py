@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from eos_pin._arrays import Array, checked
 from eos_pin._files import write_atomically
-from eos_pin.errors import EosError, InputError
+from eos_pin.errors import EosError, InputError, UnknownNameError
 from eos_pin.plots._style import (
     LINES,
     PAGE,
@@ -167,6 +167,10 @@ def sweep(rows: Sequence[Mapping[str, Any]], over: Sequence[str]) -> Figure:
     """
     if not rows:
         raise InputError("a figure of a sweep needs at least one run")
+    for row in rows:
+        for name in (*(over or ["robot"]), "status", *(SWEPT if row.get("status") == "finished" else ())):
+            if name not in row:
+                raise UnknownNameError("column in each run", str(name), [str(key) for key in row])
     values = {name: list(dict.fromkeys(row[name] for row in rows)) for name in over or ["robot"]}
     along = max(values, key=lambda name: (not isinstance(values[name][0], str), len(values[name])))
     places, joined = values[along], not isinstance(values[along][0], str)

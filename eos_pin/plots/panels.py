@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.colors import is_color_like
 from matplotlib.ticker import MaxNLocator
 
 from eos_pin._arrays import (
@@ -129,6 +130,8 @@ def plot_orbit(
             dimensions, and else the principal directions of the motion after transients.
         color: Colour of the orbit.
     """
+    if not is_color_like(color):
+        raise InputError(f"color must be one that matplotlib knows, got {color!r}")
     points, names = _projection(result, robot, 3 if is_solid(ax) else 2, joints)
     rows = [*dict.fromkeys((*result.cycle_rows.tolist(), len(result.t) - 1))]
     shades = np.linspace(0.3 if len(rows) > 2 else 1.0, 1.0, len(rows))[1:]
@@ -354,8 +357,10 @@ def _projection(
     if joints is None and n == size:
         joints = range(n)
     if joints is not None:
-        if len(joints) != size or not all(-n <= i < n for i in joints):
-            raise InputError(f"these axes show {size} of the joints 0 to {n - 1}, got {list(joints)}")
+        numbers = vector(joints, size, f"joints, of which these axes show {size},")
+        if not np.isin(numbers, np.arange(-n, n)).all():
+            raise InputError(f"joints are some of 0 to {n - 1}, got {numbers.tolist()}")
+        joints = numbers.astype(int).tolist()
         return q[:, list(joints)], [f"$q_{{{i % n + 1}}}$ {units[i]}" for i in joints]
     if n < size:
         points = np.column_stack((q, result.dq, result.ddq))[:, :size]

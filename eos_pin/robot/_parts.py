@@ -10,7 +10,8 @@ from typing import Protocol
 import numpy as np
 import pinocchio as pin
 
-from eos_pin.errors import UnknownNameError
+from eos_pin._arrays import number
+from eos_pin.errors import InputError, UnknownNameError
 
 #: Words in the name of a frame that say it is where the robot works, the best first.
 WORKING_FRAMES = (
@@ -148,3 +149,15 @@ def _hands(model: pin.Model, mimics: Mapping[str, str]) -> list[bool]:
 def _words(name: str) -> set[str]:
     """Words of a name such as `LeftHand_link2`, in lower case."""
     return {word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}
+
+
+def locked_at(name: str, value: float | None, lower: float, upper: float) -> float:
+    """Position at which a joint is locked: the one that is given, or as near to 0 as its limits allow.
+
+    Raises:
+        InputError: It is no number, or beyond the limits.
+    """
+    position = min(max(0.0, lower), upper) if value is None else number(value, f"position of joint {name!r}")
+    if not lower <= position <= upper:
+        raise InputError(f"joint {name!r} moves from {lower:g} to {upper:g} and cannot be locked at {position:g}")
+    return float(position)

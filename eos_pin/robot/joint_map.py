@@ -8,11 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from eos_pin._arrays import Array, JointVector, VectorLike, as_floats, frozen_copy, vector
+from eos_pin._arrays import Array, JointVector, VectorLike, as_floats, by_value, frozen_copy, vector
 from eos_pin.errors import InputError, UnknownNameError
 from eos_pin.robot.model import Robot
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class JointMap:
     """Joints of a robot in the order of a message, such as a joint state that lists other joints as well.

@@ -18,6 +18,7 @@ from eos_pin._arrays import (
     Array,
     VectorLike,
     as_floats,
+    by_value,
     checked,
     frozen_copy,
     number,
@@ -25,7 +26,7 @@ from eos_pin._arrays import (
 )
 from eos_pin.errors import InputError, RobotError, UnknownNameError
 from eos_pin.robot._coordinates import coordinates_of
-from eos_pin.robot._parts import default_frame_of, find_frame, leaves_of
+from eos_pin.robot._parts import default_frame_of, find_frame, leaves_of, locked_at
 from eos_pin.robot.coupled import CoupledRobot
 from eos_pin.robot.geometry import Shapes, quiet, resolve_shapes
 from eos_pin.robot.library import available_robots, find_robot
@@ -43,6 +44,7 @@ Source: TypeAlias = str | bytes | os.PathLike[str]
 Lock: TypeAlias = str | Sequence[str] | Mapping[str, float | None]
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class Tool:
@@ -67,6 +69,7 @@ class Tool:
         return {"frame": self.frame, "placement": np.asarray(self.placement).tolist(), "name": self.name}
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class Payload:
@@ -302,10 +305,7 @@ def _position(urdf: Urdf, name: str, value: float | None) -> float:
     if not joint.has_one_degree and value:
         raise InputError(f"joint {name!r} is {joint.kind}; it can be locked at 0 only, got {value!r}")
     lower, upper = (-np.inf, np.inf) if joint.unlimited else (joint.lower, joint.upper)
-    position = float(np.clip(0.0, lower, upper)) if value is None else number(value, f"position of joint {name!r}")
-    if not lower <= position <= upper:
-        raise InputError(f"joint {name!r} moves from {lower:g} to {upper:g} and cannot be locked at {position:g}")
-    return position
+    return locked_at(name, value, lower, upper)
 
 
 # -- building ----------------------------------------------------------------------------------------------------

@@ -45,7 +45,8 @@ MOST_JOINTS = 2000
 class Robot(Angles):
     """A serial robot: n one-degree-of-freedom joints, its inertia, and its shape.
 
-    A robot without inertia has all of kinematics; its dynamics are refused where they are first used.
+    A robot without inertia has all of kinematics; its dynamics are refused where they are first used. One object is for
+    one thread, with all that is made of it; another thread takes `copy.deepcopy(robot)`.
 
     Made by `eos_pin.load_robot`, by `from_pinocchio`, or directly from a `pin.Model` whose joints all have one degree
     of freedom; the model is copied, so the caller's stays as it is.

@@ -17,12 +17,13 @@ from eos_pin._arrays import (
     JointVector,
     Vector,
     VectorLike,
+    called,
     nearest,
     number,
 )
 from eos_pin.charts.chart import Chart
 from eos_pin.control.base import Controller
-from eos_pin.errors import ChartError, EosError, InputError, SingularError
+from eos_pin.errors import ChartError, EosError, FunctionError, InputError, SingularError, take
 from eos_pin.robot.model import Robot
 from eos_pin.simulation._storage import provenance
 from eos_pin.simulation._systems import System
@@ -101,7 +102,7 @@ class Recorder:
         ddq, _ = system.accelerate(t, q, dq, tau)
         self._rows.append(_Row(t, q, dq, ddq, np.array(tau), x[-1], system.state, system.recorded_chart, report[1:]))
         if self.observer is not None:
-            self.observer(t, q)
+            called("the observer", self.observer, t, q)
 
     @contextmanager
     def until_it_ends(self) -> Iterator[None]:
@@ -109,8 +110,11 @@ class Recorder:
         try:
             yield
         except (Stop, EosError, KeyboardInterrupt) as ending:
-            if not self._rows:
+            # A fault of the caller's own code is no end of a run.
+            if not self._rows or isinstance(ending, FunctionError):
                 raise
+            if isinstance(ending, KeyboardInterrupt):
+                take(ending)
             self.status, self.message = _ending(ending, self._rows[-1].t)
 
     def result(self) -> Result:

@@ -15,15 +15,18 @@ from eos_pin._arrays import (
     VectorLike,
     as_floats,
     broadcast,
+    by_value,
     checked,
     frozen_copy,
     number,
     unchecked,
+    vector_of,
 )
 from eos_pin.errors import InputError
 from eos_pin.tasks.base import Task
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class TaskForce(Checked):
@@ -40,11 +43,12 @@ class TaskForce(Checked):
     @checked
     def torque(self, t: float, q: JointVector) -> JointVector:
         """Joint torques G'ᵀF^z that it is worth [N m or N]."""
-        return self.task._linearize(q)[1].T @ np.asarray(self.force(t), dtype=float)
+        return self.task._linearize(q)[1].T @ vector_of("force of a TaskForce", self.task.m, self.force, t)
 
     _torque = unchecked(torque)
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class Friction(Checked):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eos_pin._arrays import Array, Vector, checked, largest_magnitude, nearest, unchecked
+from eos_pin._arrays import Array, Vector, by_value, checked, frozen_copy, largest_magnitude, nearest, unchecked
 from eos_pin._files import write_csv
 from eos_pin.errors import InputError, Renamed, ResultError
 from eos_pin.robot.loading import load_robot
@@ -30,6 +30,7 @@ from eos_pin.tasks.stacked import task_from_description
 TASK_DEFICIT = 1e-6
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class Result:
     """A run: its samples over time, how it ended, and where it came from.
@@ -104,12 +105,11 @@ class Result:
     def __post_init__(self) -> None:
         rows = len(self.t)
         for name in _ARRAYS:
-            array = np.array(getattr(self, name), dtype=np.int64 if name == "chart" else float)
+            array = frozen_copy(getattr(self, name), int if name == "chart" else float)
             if array.ndim != (1 if name in _VECTORS else 2):
                 raise InputError(f"{name} of a result must be a {'vector' if name in _VECTORS else 'table'}")
             if name != "switches" and len(array) != rows:
                 raise InputError(f"a result needs as many rows of {name} as times: {len(array)} against {rows}")
-            array.flags.writeable = False
             object.__setattr__(self, name, array)
         for name in ("labels", "units"):
             words = tuple(map(str, getattr(self, name)))

@@ -14,7 +14,7 @@ from eos_pin._kernels.flat import Part
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks import _sphere
-from eos_pin.tasks.base import Point, PointLike, Task
+from eos_pin.tasks.base import Channel, Point, PointLike, Task
 from eos_pin.tasks.position import PositionTask
 from eos_pin.tasks.stacked import StackedTask
 
@@ -57,11 +57,11 @@ class AxisTask(Task, kind="axis"):
 
     def compute_jacobian(self, data: pin.Data) -> Jacobian:
         # Velocity ω × a along e1 and e2 = a × e1.
-        e1, e2 = _sphere.basis(self.compute_point(data))
+        e1, e2 = _sphere.basis(self._compute_point(data))
         return np.array([e2, -e1]).dot(self.frame_jacobian(data, self._id)[3:])
 
     def compute_drift(self, data: pin.Data) -> TaskVector:
-        a = self.compute_point(data)
+        a = self._compute_point(data)
         omega = self.frame_velocity(data, self._id).angular
         E = _sphere.basis(a)
         across = np.array([E[1], -E[0]])
@@ -71,6 +71,9 @@ class AxisTask(Task, kind="axis"):
 
     def frame_parts(self) -> tuple[Part, ...] | None:
         return (Part("axis", self._id, direction=self.axis),)
+
+    def channels(self) -> tuple[Channel, ...]:
+        return (Channel(slice(0, 3), "direction"),)
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return _sphere.log(z1, z0)

@@ -12,7 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -24,7 +24,7 @@ from eos_pin._arrays import (
     Jacobian,
     JointVector,
     TaskVector,
-    by_identity,
+    by_value,
     checked,
     unchecked,
     vector,
@@ -36,6 +36,7 @@ from eos_pin.errors import InputError
 from eos_pin.robot._data import workspace
 from eos_pin.robot.model import Robot
 from eos_pin.robot.postures import JointsLike
+from eos_pin.tasks._balls import Ball
 from eos_pin.tasks._flat import Point as Point
 from eos_pin.tasks._flat import PointLike as PointLike
 from eos_pin.tasks.target import Hold, Target
@@ -49,7 +50,23 @@ _HOOKS = {"_z": "compute_point", "_J": "compute_jacobian", "_drift": "compute_dr
 _EVALUATIONS = ("value", "linearize", "at")
 
 
-@by_identity
+#: Kinds of parts of a task point: numbers, a rotation matrix row by row (9), an angle that wraps, a unit vector (3).
+Kind: TypeAlias = Literal["number", "rotation", "angle", "direction"]
+
+
+class Channel(NamedTuple):
+    """A part of a task point, by which curves through several points are made.
+
+    Attributes:
+        part: Which numbers of z.
+        kind: What they are.
+    """
+
+    part: slice
+    kind: Kind
+
+
+@by_value
 class TaskPoint(NamedTuple):
     """A task and its derivatives at one state.
 
@@ -76,7 +93,8 @@ class Task(Checked, ABC):
     A task of one's own is a subclass that defines the three hooks `compute_point`, `compute_jacobian` and
     `compute_drift`; `value`, `linearize` and `at` call them after the passes over Pinocchio that each needs. In a hook,
     `frame_placement`, `frame_jacobian`, `frame_velocity` and `frame_acceleration` read frames. A task whose points are
-    no vector space also defines `minus` and `plus`. See docs/extending.md and examples/08_own_task.py.
+    no vector space also defines `minus` and `plus`. See docs/extending.md and examples/08_own_task.py. One object is
+    for one thread.
 
     Attributes:
         robot: Robot whose joints it depends on.
@@ -160,7 +178,7 @@ class Task(Checked, ABC):
         pin.forwardKinematics(self._model, self._data, q)
         if self._needs_frames:
             pin.updateFramePlacements(self._model, self._data)
-        return self.compute_point(self._data)
+        return self._compute_point(self._data)
 
     @checked
     def linearize(self, q: JointVector) -> tuple[Point, Jacobian]:
@@ -168,7 +186,7 @@ class Task(Checked, ABC):
         pin.computeJointJacobians(self._model, self._data, q)
         if self._needs_frames:
             pin.updateFramePlacements(self._model, self._data)
-        return self.compute_point(self._data), self._matrix(self.compute_jacobian(self._data))
+        return self._compute_point(self._data), self._matrix(self._compute_jacobian(self._data))
 
     @checked
     def at(self, q: JointVector, dq: JointVector) -> TaskPoint:
@@ -178,10 +196,10 @@ class Task(Checked, ABC):
         pin.computeJointJacobians(model, data)
         if self._needs_frames:
             pin.updateFramePlacements(model, data)
-        J = self.compute_jacobian(data)
+        J = self._compute_jacobian(data)
         if J.ndim == 1:
             J = self._matrix(J)
-        return _task_point((self.compute_point(data), J, J.dot(dq), self.compute_drift(data)))
+        return _task_point((self._compute_point(data), J, J.dot(dq), self._compute_drift(data)))
 
     def _matrix(self, J: Array) -> Jacobian:
         """J itself; with one joint, Pinocchio's bindings make a vector of what should be a column."""
@@ -190,6 +208,7 @@ class Task(Checked, ABC):
     # -- the hooks, and what they may read ---------------------------------------------------------------------------
 
     @abstractmethod
+    @checked
     def compute_point(self, data: pin.Data) -> Point:
         """Hook: task point z = G(q), (size,); Eq. (1).
 
@@ -198,10 +217,12 @@ class Task(Checked, ABC):
         """
 
     @abstractmethod
+    @checked
     def compute_jacobian(self, data: pin.Data) -> Jacobian:
         """Hook: Jacobian G'(q), (m, n); Eq. (2). In `data` are placements and joint Jacobians."""
 
     @abstractmethod
+    @checked
     def compute_drift(self, data: pin.Data) -> TaskVector:
         """Hook: drift Ġ'dq, (m,) [m/s², rad/s²]. In `data` are velocities and accelerations at ddq = 0, too."""
 
@@ -270,6 +291,7 @@ class Task(Checked, ABC):
         """Positive where `delta` is well inside the domain of the local coordinates; 1 at its centre."""
         return 1.0
 
+    @checked
     def tracking_acceleration(
         self, z: Point, dz: TaskVector, target: Target, kp: TaskVector, kd: TaskVector
     ) -> TaskVector:
@@ -287,6 +309,42 @@ class Task(Checked, ABC):
         pull += kd * (dz_d - dz)
         pull += ddz_d
         return pull
+
+    @checked
+    def channels(self) -> tuple[Channel, ...]:
+        """Parts of a point z, one after the other; by default all of it are numbers."""
+        return (Channel(slice(0, self.size), "number"),)
+
+    @property
+    def whole(self) -> Task:
+        """Task of all coordinates of a point z, where only some are tracked; otherwise the task itself."""
+        return self
+
+    @property
+    def bands(self) -> tuple[str, ...]:
+        """Names of the coordinates that are kept in a band about their target and not tracked; by default none."""
+        return ()
+
+    def _rates(self, z: Array, dz: Array, ddz: Array) -> tuple[Array, Array]:
+        """Velocities and accelerations of this task from those of the whole one at points z, (K, …)."""
+        return dz, ddz
+
+    @property
+    def form(self) -> tuple[Kind, ...]:
+        """Kinds of the parts of a point z, such as `("number", "rotation")` of a pose."""
+        return tuple(kind for _, kind in self.channels())
+
+    @property
+    def lengths(self) -> tuple[str, ...]:
+        """Names of the first coordinates of z that are lengths, for paths: `axes`, or else labels with the unit m."""
+        part, kind = self.channels()[0]
+        first = zip(self.labels[: part.stop], self.units, strict=False)
+        return tuple(self.axes) or tuple(label for label, unit in first if unit == "m" and kind == "number")
+
+    @checked
+    def balls(self) -> tuple[Ball, ...]:
+        """Balls that lengths among the coordinates of z never leave, to refuse points out of reach; by default none."""
+        return ()
 
     @checked
     def point(self, value: PointLike) -> Point:
@@ -320,6 +378,16 @@ class Task(Checked, ABC):
     _plus = unchecked(plus)
     _local_rate = unchecked(local_rate)
     _local_margin = unchecked(local_margin)
+    _tracking_acceleration = unchecked(tracking_acceleration)
+    _compute_point = unchecked(compute_point)
+    _compute_jacobian = unchecked(compute_jacobian)
+    _compute_drift = unchecked(compute_drift)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences for people about a choice of task: that it leaves no redundancy."""
+        none = f"{self!r} takes all {self.m} joints (r = 0): there is no self-motion, and laws for it change nothing"
+        return (none,) if self.m == self.robot.n else ()
 
     # -- identity ----------------------------------------------------------------------------------------------------
 

@@ -17,9 +17,9 @@ from eos_pin._arrays import Array
 from eos_pin.robot._coordinates import screw
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
-from eos_pin.tasks.frame import FrameTask
-from eos_pin.tasks.stacked import StackedTask
 
+#: Numbers of a flat pose, and rows of the frame's velocity, that are a part of a kind; of positions, those of the axes.
+PLACES = {"position": (range(3), range(3)), "orientation": (range(3, 12), range(3, 6)), "pose": (range(12), range(6))}
 #: Longest step of one joint in Newton's method [rad or m].
 LONGEST = 0.5
 #: What is added to the diagonal of J Jᵀ, relative to its trace, lest it be singular.
@@ -105,16 +105,13 @@ class Manifold:
 
     def __init__(self, task: Task) -> None:
         self.task, self.robot, self.n, self.m = task, task.robot, task.robot.n, task.m
-        parts = task.tasks if isinstance(task, StackedTask) else (task,)
-        self._parts: list[FrameTask] | None = None
-        # A part that goes its own way has no parts of frames.
-        if task.frame_parts() is not None and all(isinstance(part, FrameTask) for part in parts):
-            self._parts = [part for part in parts if isinstance(part, FrameTask)]
+        parts = task.frame_parts()
+        self._parts = None if parts is None or any(part.kind not in PLACES for part in parts) else parts
         kernel = task.kinematics
         self._kernel = kernel if kernel.compiled else None
         self.placements = Placements(task.robot)
         model = task.robot.model
-        frames = [model.frames[part._id] for part in self._parts or ()]
+        frames = [model.frames[part.frame] for part in self._parts or ()]
         self._frames = [(f.parentJoint, *self.placements.local(f.parentJoint, f.placement)) for f in frames]
 
     def linearize(self, Q: Float[Array, "n K"], Z: Float[Array, "size #K"]) -> tuple[Array, Array]:
@@ -130,14 +127,15 @@ class Manifold:
             R, p = placed[joint]
             point = p + np.matmul(p0, R)
             error, J = np.empty((6, Q.shape[1])), self.placements.jacobian(placed, joint, point)
+            here, kept = (part.axes, part.axes) if part.kind == "position" else PLACES[part.kind]
             goal = np.empty((12, Z.shape[1]))
-            goal[part._part] = Z[first : first + part.size]
-            first += part.size
+            goal[list(here)] = Z[first : first + len(here)]
+            first += len(here)
             error[:3] = goal[:3] - point
-            if part._part.stop is None:  # with a rotation
+            if part.kind != "position":
                 error[3:] = log3(goal[3:].reshape(3, 3, -1), np.matmul(R0.T, R))
-            errors.append(error[part._rows])
-            rows.append(J[part._rows])
+            errors.append(error[list(kept)])
+            rows.append(J[list(kept)])
         if len(rows) == 1:
             return errors[0], rows[0]
         return np.concatenate(errors), np.concatenate(rows)

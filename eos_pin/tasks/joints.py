@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pinocchio as pin
 
-from eos_pin._arrays import Jacobian, JointVector, TaskVector, frozen_copy, number
+from eos_pin._arrays import Jacobian, JointVector, TaskVector, checked, frozen_copy, number
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Point, Task, TaskPoint
@@ -27,6 +27,7 @@ class JointTask(Task, kind="joints"):
     arguments = ("combinations",)
     _needs_frames = False
 
+    @checked
     def __init__(self, robot: Robot, combinations: Sequence[Mapping[str, float]]) -> None:
         names = list(robot.joint_names)
         self.combinations = [
@@ -56,7 +57,7 @@ class JointTask(Task, kind="joints"):
         return TaskPoint(self._A.dot(q), self._A.copy(), self._A.dot(dq), np.zeros(self.m))
 
     def compute_point(self, data: pin.Data) -> Point:
-        raise NotImplementedError("a JointTask needs no hooks: call value, linearize or at")
+        raise InputError("a JointTask needs no hooks: call value, linearize or at")
 
     def compute_jacobian(self, data: pin.Data) -> Jacobian:
         return self._A.copy()

@@ -52,14 +52,14 @@ class LookAtTask(AxisTask, kind="look_at"):
 
     def compute_jacobian(self, data: pin.Data) -> Jacobian:
         w, distance = self._sight(data)
-        E = _sphere.basis(self.compute_point(data)).dot(self.frame_placement(data, self._id).rotation.T)
+        E = _sphere.basis(self._compute_point(data)).dot(self.frame_placement(data, self._id).rotation.T)
         J = self.frame_jacobian(data, self._id)
         # Of the velocity of the line of sight, what is along it does not count: E is normal to it.
         return E.dot(pin.skew(w).dot(J[3:]) - J[:3] / distance)
 
     def compute_drift(self, data: pin.Data) -> TaskVector:
         w, distance = self._sight(data)
-        b = self.compute_point(data)
+        b = self._compute_point(data)
         E = _sphere.basis(b).dot(self.frame_placement(data, self._id).rotation.T)
         velocity, acceleration = self.frame_velocity(data, self._id), self.frame_acceleration(data, self._id)
         v, omega = velocity.linear, velocity.angular

@@ -11,8 +11,9 @@ from eos_pin._arrays import Jacobian, TaskVector, checked
 from eos_pin._kernels.flat import Part
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
+from eos_pin.tasks._balls import Ball, frame_ball
 from eos_pin.tasks._flat import checked_pose, flat_rotation, pose_difference
-from eos_pin.tasks.base import WORLD, Point, PointLike, Task
+from eos_pin.tasks.base import WORLD, Channel, Point, PointLike, Task
 from eos_pin.tasks.frame import FrameTask
 
 
@@ -36,6 +37,9 @@ class OrientationTask(FrameTask, kind="orientation"):
     def frame_parts(self) -> tuple[Part, ...]:
         return (Part("orientation", self._id),)
 
+    def channels(self) -> tuple[Channel, ...]:
+        return (Channel(slice(0, 9), "rotation"),)
+
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return pin.log3(z1.reshape(3, 3).dot(z0.reshape(3, 3).T))
 
@@ -55,28 +59,14 @@ class OrientationTask(FrameTask, kind="orientation"):
         return flat_rotation(value.rotation if isinstance(value, pin.SE3) else value, self._point_name)
 
 
-class PoseTask(FrameTask, kind="pose"):
-    """Pose of a frame on SE(3): position [m] and orientation [rad].
+class PosePoints(Task):
+    """Part of tasks whose points are poses: z is a position followed by a rotation matrix row by row, 12 numbers."""
 
-    z is the position followed by the rotation matrix, dz = (velocity of the origin, angular velocity) in world axes.
-    `minus` is the logarithm whose curves are straight lines with a constant axis of rotation: the geodesics of SE(3).
-
-    Args:
-        robot: The robot.
-        frame: Frame that is placed.
-    """
-
-    arguments = ("frame",)
     axes = "xyz"
     rotations = (3,)
 
-    @checked
-    def __init__(self, robot: Robot, frame: str) -> None:
-        labels, units = ("x", "y", "z", "rx", "ry", "rz"), ["m"] * 3 + ["rad"] * 3
-        super().__init__(robot, frame, labels, units, slice(None), slice(None))
-
-    def frame_parts(self) -> tuple[Part, ...]:
-        return (Part("pose", self._id),)
+    def channels(self) -> tuple[Channel, ...]:
+        return Channel(slice(0, 3), "number"), Channel(slice(3, 12), "rotation")
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return pose_difference(z1, z0)
@@ -93,6 +83,31 @@ class PoseTask(FrameTask, kind="pose"):
     @checked
     def point(self, value: PointLike) -> Point:
         return checked_pose(value, self._point_name)
+
+
+class PoseTask(PosePoints, FrameTask, kind="pose"):
+    """Pose of a frame on SE(3): position [m] and orientation [rad].
+
+    z is the position followed by the rotation matrix, dz = (velocity of the origin, angular velocity) in world axes.
+    `minus` is the logarithm whose curves are straight lines with a constant axis of rotation: the geodesics of SE(3).
+
+    Args:
+        robot: The robot.
+        frame: Frame that is placed.
+    """
+
+    arguments = ("frame",)
+
+    @checked
+    def __init__(self, robot: Robot, frame: str) -> None:
+        labels, units = ("x", "y", "z", "rx", "ry", "rz"), ["m"] * 3 + ["rad"] * 3
+        super().__init__(robot, frame, labels, units, slice(None), slice(None))
+
+    def frame_parts(self) -> tuple[Part, ...]:
+        return (Part("pose", self._id),)
+
+    def balls(self) -> tuple[Ball, ...]:
+        return (frame_ball(self.robot, self.frame),)
 
 
 class HeadingTask(Task, kind="heading"):
@@ -130,6 +145,9 @@ class HeadingTask(Task, kind="heading"):
 
     def frame_parts(self) -> tuple[Part, ...]:
         return (Part("heading", self._id),)
+
+    def channels(self) -> tuple[Channel, ...]:
+        return (Channel(slice(0, 1), "angle"),)
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return np.array([math.remainder(z1[0] - z0[0], math.tau)])

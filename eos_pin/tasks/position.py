@@ -9,6 +9,7 @@ from eos_pin._arrays import Array, Jacobian, TaskVector, checked
 from eos_pin._kernels.flat import Part
 from eos_pin.errors import InputError, RobotError
 from eos_pin.robot.model import Robot
+from eos_pin.tasks._balls import Ball, com_ball, frame_ball
 from eos_pin.tasks.base import WORLD, Point, Task
 from eos_pin.tasks.frame import FrameTask
 
@@ -31,6 +32,9 @@ class PositionTask(FrameTask, kind="position"):
 
     def frame_parts(self) -> tuple[Part, ...]:
         return (Part("position", self._id, tuple(range(3)[self._part])),)
+
+    def balls(self) -> tuple[Ball, ...]:
+        return (frame_ball(self.robot, self.frame, self.axes),)
 
 
 class RelativePositionTask(Task, kind="relative_position"):
@@ -128,6 +132,9 @@ class ComTask(Task, kind="com"):
     def compute_drift(self, data: pin.Data) -> TaskVector:
         pin.centerOfMass(self._model, data, pin.KinematicLevel.ACCELERATION, False)
         return data.acom[0][self._rows].copy()
+
+    def balls(self) -> tuple[Ball, ...]:
+        return (com_ball(self.robot, self.axes),)
 
 
 def _rows(axes: str) -> slice:

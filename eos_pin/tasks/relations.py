@@ -11,14 +11,15 @@ import pinocchio as pin
 from eos_pin._arrays import Array, Jacobian, TaskVector, checked, vector
 from eos_pin.errors import SingularError
 from eos_pin.robot.model import Robot
-from eos_pin.tasks._flat import FLAT, checked_pose, pose_difference
-from eos_pin.tasks.base import Point, PointLike, Task
+from eos_pin.tasks._flat import FLAT
+from eos_pin.tasks.base import Point, Task
+from eos_pin.tasks.orientation import PosePoints
 
 #: Least distance that has a direction [m].
 NEAREST = 1e-9
 
 
-class RelativePoseTask(Task, kind="relative_pose"):
+class RelativePoseTask(PosePoints, kind="relative_pose"):
     """Pose of a frame seen from another frame of the same robot, in that frame's axes [m, rad].
 
     The other frame may be fixed or move, such as the other hand of a two-armed robot. z is the position followed by the
@@ -31,7 +32,6 @@ class RelativePoseTask(Task, kind="relative_pose"):
     """
 
     arguments = ("frame", "reference")
-    axes, rotations = "xyz", (3,)
     _needs_frames = False
 
     @checked
@@ -69,21 +69,6 @@ class RelativePoseTask(Task, kind="relative_pose"):
     def _relative(self, data: pin.Data) -> tuple[Array, Array]:
         frame, reference = (self.frame_placement(data, i) for i in (self._id, self._reference_id))
         return reference.rotation.copy(), frame.translation - reference.translation
-
-    def minus(self, z1: Point, z0: Point) -> TaskVector:
-        return pose_difference(z1, z0)
-
-    def plus(self, z: Point, delta: TaskVector) -> Point:
-        return np.concatenate((z[:3] + delta[:3], pin.exp3(delta[3:]).dot(z[3:].reshape(3, 3)).ravel()))
-
-    def local_rate(self, delta: TaskVector, dz: TaskVector, z_bar: Point | None = None) -> TaskVector:
-        return np.concatenate((dz[:3], np.linalg.solve(pin.Jexp3(delta[3:]).T, dz[3:])))
-
-    def local_margin(self, delta: TaskVector) -> float:
-        return 1.0 - math.sqrt(delta[3:].dot(delta[3:])) / math.pi
-
-    def point(self, value: PointLike) -> Point:
-        return checked_pose(value, self._point_name)
 
 
 class DistanceTask(Task, kind="distance"):

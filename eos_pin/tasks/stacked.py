@@ -18,7 +18,8 @@ from eos_pin._arrays import (
 from eos_pin._kernels.flat import Part
 from eos_pin.errors import InputError, UnknownNameError
 from eos_pin.robot.model import Robot
-from eos_pin.tasks.base import KINDS, Point, PointLike, Task, TaskPoint
+from eos_pin.tasks._balls import Ball
+from eos_pin.tasks.base import KINDS, Channel, Point, PointLike, Task, TaskPoint
 from eos_pin.tasks.target import Target
 
 
@@ -60,13 +61,13 @@ class StackedTask(Task, kind="stacked"):
             self.rotations = None
 
     def compute_point(self, data: pin.Data) -> Point:
-        return np.concatenate([task.compute_point(data) for task in self.tasks])
+        return np.concatenate([task._compute_point(data) for task in self.tasks])
 
     def compute_jacobian(self, data: pin.Data) -> Jacobian:
-        return np.concatenate([self._matrix(task.compute_jacobian(data)) for task in self.tasks])
+        return np.concatenate([self._matrix(task._compute_jacobian(data)) for task in self.tasks])
 
     def compute_drift(self, data: pin.Data) -> TaskVector:
-        return np.concatenate([task.compute_drift(data) for task in self.tasks])
+        return np.concatenate([task._compute_drift(data) for task in self.tasks])
 
     # A part with another way to its values than the hooks is asked itself.
     def value(self, q: JointVector) -> Point:
@@ -86,6 +87,20 @@ class StackedTask(Task, kind="stacked"):
     def frame_parts(self) -> tuple[Part, ...] | None:
         parts = [task.frame_parts() for task in self.tasks]
         return None if None in parts else tuple(part for some in parts for part in some or ())
+
+    def channels(self) -> tuple[Channel, ...]:
+        return tuple(
+            Channel(slice(p.start + part.start, p.start + part.stop), kind)
+            for task, p, _ in self._slices
+            for part, kind in task.channels()
+        )
+
+    def balls(self) -> tuple[Ball, ...]:
+        return tuple(
+            ball._replace(rows=slice(p.start + ball.rows.start, p.start + ball.rows.stop))
+            for task, p, _ in self._slices
+            for ball in task.balls()
+        )
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return np.concatenate([task._minus(z1[p], z0[p]) for task, p, _ in self._slices])
@@ -112,7 +127,7 @@ class StackedTask(Task, kind="stacked"):
         z_d, dz_d, ddz_d = target
         return np.concatenate(
             [
-                task.tracking_acceleration(z[p], dz[d], Target(z_d[p], dz_d[d], ddz_d[d]), kp[d], kd[d])
+                task._tracking_acceleration(z[p], dz[d], Target(z_d[p], dz_d[d], ddz_d[d]), kp[d], kd[d])
                 for task, p, d in self._slices
             ]
         )

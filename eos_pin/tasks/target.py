@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eos_pin._arrays import JointVector, TaskVector, by_identity, frozen_copy, number
+from eos_pin._arrays import JointVector, TaskVector, by_value, check_answers, frozen_copy, number
 from eos_pin._kernels.overrides import stands_for
 from eos_pin.errors import InputError
 from eos_pin.tasks._flat import Point, flat_point
 
 
-@by_identity
+@by_value
 class Target(NamedTuple):
     """Target of the task at one time.
 
@@ -34,7 +34,7 @@ class Target(NamedTuple):
     ddz: TaskVector
 
 
-@by_identity
+@by_value
 class JointTarget(NamedTuple):
     """Target of the joints at one time.
 
@@ -73,12 +73,14 @@ class Trajectory(ABC):
         # A subclass of `Hold` or `Harmonic` with a call of its own may move otherwise.
         stands_for(cls, "constant", "__call__")
         stands_for(cls, "waves", "__call__")
+        check_answers(cls, "__call__", Trajectory.__call__)
 
     @abstractmethod
     def __call__(self, t: float) -> Target:
         """Target at time t [s]."""
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class Hold(Trajectory):
     """One point, at rest. `Task.hold` makes that of a task's value at given joints.

@@ -15,8 +15,9 @@ from eos_pin._arrays import Array, Jacobian, JointVector, TaskVector, Vector, ch
 from eos_pin._kernels.kinematics import Kinematics
 from eos_pin.errors import InputError
 from eos_pin.tasks import _sphere
+from eos_pin.tasks._balls import Ball
 from eos_pin.tasks.axis import AxisTask, PointAxisTask
-from eos_pin.tasks.base import Point, PointLike, Task
+from eos_pin.tasks.base import Channel, Point, PointLike, Task
 from eos_pin.tasks.orientation import OrientationTask, PoseTask
 from eos_pin.tasks.position import PositionTask
 from eos_pin.tasks.stacked import StackedTask
@@ -50,7 +51,7 @@ class ToleranceTask(Task, kind="tolerance"):
 
     @checked
     def __init__(self, whole: Task, tolerance: Mapping[str, float]) -> None:
-        self.whole = whole
+        self._whole = whole
         self.tolerance = {name: number(width, f"the tolerance {name}", above=0.0) for name, width in tolerance.items()}
         self._check()
         axes = whole.axes
@@ -104,6 +105,17 @@ class ToleranceTask(Task, kind="tolerance"):
             if self.tolerance[name] > widest:
                 raise InputError(f"the tolerance {name} is at most {widest:.4g} rad, got {self.tolerance[name]:g}")
 
+    @property
+    def whole(self) -> Task:
+        """Task of all coordinates."""
+        return self._whole
+
+    def channels(self) -> tuple[Channel, ...]:
+        return self.whole.channels()
+
+    def balls(self) -> tuple[Ball, ...]:
+        return self.whole.balls()
+
     # -- bands -------------------------------------------------------------------------------------------------------
 
     @checked
@@ -116,6 +128,8 @@ class ToleranceTask(Task, kind="tolerance"):
             z: Task points.
             targets: Their targets.
         """
+        if len(targets) not in (1, len(z)):
+            raise InputError(f"targets must be one or as many as the {len(z)} points, got {len(targets)}")
         parts = []
         for place, name in zip(self._places, (name for name in self.tolerance if name in self.whole.axes), strict=True):
             gap = (z[:, place] - targets[:, place]) / self.tolerance[name]
@@ -149,20 +163,20 @@ class ToleranceTask(Task, kind="tolerance"):
     # -- what is tracked ---------------------------------------------------------------------------------------------
 
     def compute_point(self, data: pin.Data) -> Point:
-        return self.whole.compute_point(data)
+        return self.whole._compute_point(data)
 
     def compute_jacobian(self, data: pin.Data) -> Jacobian:
-        return self.tracked.compute_jacobian(data)
+        return self.tracked._compute_jacobian(data)
 
     def compute_drift(self, data: pin.Data) -> TaskVector:
-        return self.tracked.compute_drift(data)
+        return self.tracked._compute_drift(data)
 
-    def seen(self, z: Array) -> Array:
+    def _seen(self, z: Array) -> Array:
         """Point of the tracked task, of a point of the whole one; several in rows."""
         return z.dot(self._map.T)
 
     def minus(self, z1: Point, z0: Point) -> TaskVector:
-        return self.tracked._minus(self.seen(z1), self.seen(z0))
+        return self.tracked._minus(self._seen(z1), self._seen(z0))
 
     def plus(self, z: Point, delta: TaskVector) -> Point:
         """Point that is tracked a step further; what is not tracked stays, and a rotation turns the shortest way."""
@@ -171,7 +185,7 @@ class ToleranceTask(Task, kind="tolerance"):
         kept = [i for i in range(places) if i not in self._places]
         ahead[kept] += delta[: len(kept)]
         if len(delta) > len(kept):
-            before, after = z[places:], self.tracked._plus(self.seen(z), delta)[len(kept) :]
+            before, after = z[places:], self.tracked._plus(self._seen(z), delta)[len(kept) :]
             if len(after) == len(before):
                 ahead[places:] = after
             else:
@@ -182,7 +196,7 @@ class ToleranceTask(Task, kind="tolerance"):
     def local_rate(self, delta: TaskVector, dz: TaskVector, z_bar: Point | None = None) -> TaskVector:
         if not self.tracked.is_curved or z_bar is None:
             return self.tracked._local_rate(delta, dz)
-        return self.tracked._local_rate(delta, dz, self.seen(z_bar))
+        return self.tracked._local_rate(delta, dz, self._seen(z_bar))
 
     def local_margin(self, delta: TaskVector) -> float:
         return self.tracked._local_margin(delta)
@@ -190,10 +204,10 @@ class ToleranceTask(Task, kind="tolerance"):
     def tracking_acceleration(
         self, z: Point, dz: TaskVector, target: Target, kp: TaskVector, kd: TaskVector
     ) -> TaskVector:
-        seen = Target(self.seen(target.z), target.dz, target.ddz)
-        return self.tracked.tracking_acceleration(self.seen(z), dz, seen, kp, kd)
+        seen = Target(self._seen(target.z), target.dz, target.ddz)
+        return self.tracked._tracking_acceleration(self._seen(z), dz, seen, kp, kd)
 
-    def rates(self, z: Array, dz: Array, ddz: Array) -> tuple[Array, Array]:
+    def _rates(self, z: Array, dz: Array, ddz: Array) -> tuple[Array, Array]:
         """Velocities and accelerations of the tracked task, from those of the whole one; in rows.
 
         Args:
@@ -207,7 +221,7 @@ class ToleranceTask(Task, kind="tolerance"):
             return dz[:, kept], ddz[:, kept]
         if self.whole.size - places == self.tracked.size - len(kept):
             return tuple(np.delete(x, self._places, axis=1) for x in (dz, ddz))  # type: ignore[return-value]
-        a = self.seen(z)[:, len(kept) :]
+        a = self._seen(z)[:, len(kept) :]
         omega, alpha = dz[:, places:], ddz[:, places:]
         da = np.cross(omega, a)
         turned = _sphere.coordinates(a, da, np.cross(alpha, a) + np.cross(omega, da))
@@ -233,7 +247,7 @@ class _Kinematics(Kinematics):
 
     def __init__(self, task: ToleranceTask) -> None:
         super().__init__(task.tracked)
-        self._whole, self._seen = task.whole.kinematics, task.seen
+        self._whole, self._seen = task.whole.kinematics, task._seen
 
     def value(self, Q: Array) -> Float[Array, "K size"]:
         return self._whole.value(Q)

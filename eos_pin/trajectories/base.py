@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from eos_pin._arrays import of_type
 from eos_pin.errors import InputError
 from eos_pin.tasks.base import Task
-from eos_pin.tasks.orientation import PoseTask
 from eos_pin.tasks.target import Hold as Hold
 from eos_pin.tasks.target import JointTarget as JointTarget
 from eos_pin.tasks.target import Target as Target
@@ -19,10 +19,10 @@ def check_reference(task: Task, reference: Trajectory) -> None:
     Raises:
         InputError: It does not fit.
     """
-    target = reference(0.0)
+    target = of_type(reference, "the reference", Trajectory)(0.0)
     z, dz = np.asarray(target.z), np.asarray(target.dz)
     if z.shape != (task.size,):
-        pose = isinstance(task, PoseTask)
+        pose = task.form == ("number", "rotation")
         advice = ". To keep the orientation, use PoseTrajectory(position=curve, orientation=R)" if pose else ""
         given = f"points of {z.size} numbers" if z.ndim == 1 else f"points of shape {z.shape}"
         raise InputError(

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from eos_pin._arrays import (
     Array,
     VectorLike,
+    by_value,
     checked,
     frozen_copy,
     number,
@@ -27,6 +28,7 @@ from eos_pin.trajectories.base import Target, Trajectory
 Curve = use_compiled(plain_parts.Curve)
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class Harmonic(Trajectory):

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from eos_pin._arrays import VectorLike, as_floats, checked, vector
+from eos_pin._arrays import VectorLike, as_floats, by_value, checked, vector
 from eos_pin.errors import InputError
 from eos_pin.tasks._flat import PointLike, checked_pose, flat_rotation
 from eos_pin.trajectories.base import Hold, Trajectory
 from eos_pin.trajectories.stacked import StackedTrajectory
 
 
+@by_value
 class PoseTrajectory(StackedTrajectory):
     """Trajectory of a `PoseTask`: a position and an orientation, each moving or at rest.
 

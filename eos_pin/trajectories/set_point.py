@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from eos_pin._arrays import JointVector, TaskVector, Vector, VectorLike, broadcast, frozen_copy, number, vector
+from eos_pin._arrays import JointVector, TaskVector, Vector, VectorLike, broadcast, checked, frozen_copy, number, vector
 from eos_pin.errors import InputError, MissingDependencyError
 from eos_pin.tasks.base import Point, Task
 from eos_pin.trajectories.base import Target, Trajectory
@@ -52,6 +52,7 @@ class SetPoint(Trajectory):
         MissingDependencyError: Ruckig is not installed.
     """
 
+    @checked
     def __init__(
         self,
         task: Task,
@@ -109,6 +110,7 @@ class SetPoint(Trajectory):
         """
         asked = vector(dz, self.task.m, "the velocity of a SetPoint")
         fastest = np.array(self._bounds[0])
+        t = number(t, "the time of an order")
         asked = asked / max(1.0, float((np.abs(asked) / fastest).max()))
         self._begin(t, t + self._stale, None, asked)
 
@@ -121,6 +123,7 @@ class SetPoint(Trajectory):
         return self._begin(t, math.inf, None, np.zeros(self.task.m))
 
     def __call__(self, t: float) -> Target:
+        t = t if type(t) is float else number(t, "t")
         if t > self._ends:
             self._begin(self._ends, math.inf, None, np.zeros(self.task.m), late=True)
         self._asked = max(self._asked, t)

@@ -20,9 +20,12 @@ from eos_pin._arrays import (
     Vector,
     VectorLike,
     as_floats,
+    by_value,
     checked,
     frozen_copy,
     listed,
+    number,
+    of_type,
     vector,
 )
 from eos_pin.errors import InputError, renamed
@@ -78,6 +81,7 @@ class _SplineTrajectory(Trajectory):
         """Target for the polynomial's value and its first two derivatives."""
 
 
+@by_value
 class Spline(_SplineTrajectory):
     """A smooth curve through points of a vector task; it rests at its end, or repeats if it is closed.
 
@@ -160,6 +164,7 @@ def shifted(table: Waypoints) -> tuple[str, ...]:
     return (f"the times of {table.source} begin at {table.start:.10g} s; they are counted from there",)
 
 
+@by_value
 class RotationSpline(_SplineTrajectory):
     """A smooth curve through rotations, for a task of orientation; it rests at its end, or repeats if it is closed.
 
@@ -247,6 +252,7 @@ def pose_spline(poses: Sequence[PointLike] | Array, times: VectorLike, *, closed
     return PoseTrajectory(place, turn)
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class Geodesic(Trajectory):
     """Straight lines of the task's own group from point to point, each at rest at both ends (minimum jerk).
@@ -264,8 +270,7 @@ class Geodesic(Trajectory):
     times: Float[Array, " K"]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.task, Task):
-            raise InputError(f"task must be of type Task, got {self.task!r}")
+        of_type(self.task, "task", Task)
         points, times = _knots([self.task.point(p) for p in listed(self.points, "points")], self.times)
         object.__setattr__(self, "points", frozen_copy(points))
         object.__setattr__(self, "times", frozen_copy(times))
@@ -275,7 +280,7 @@ class Geodesic(Trajectory):
         object.__setattr__(self, "_steps", steps)
 
     def __call__(self, t: float) -> Target:
-        times = self.times
+        times, t = self.times, t if type(t) is float else number(t, "t")
         k = min(max(bisect_right(times, t) - 1, 0), len(times) - 2)
         T = times[k + 1] - times[k]
         s = min(max((t - times[k]) / T, 0.0), 1.0)

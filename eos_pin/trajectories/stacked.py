@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from eos_pin._arrays import (
+    by_value,
     checked,
     number,
 )
@@ -17,6 +18,7 @@ from eos_pin.trajectories.base import Target, Trajectory
 from eos_pin.trajectories.harmonic import Waves
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class StackedTrajectory(Trajectory):

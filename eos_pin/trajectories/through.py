@@ -8,20 +8,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, VectorLike, frozen_copy, vector
+from eos_pin._arrays import Array, VectorLike, by_value, frozen_copy, vector
 from eos_pin.errors import InputError
 from eos_pin.tasks import _sphere
-from eos_pin.tasks.axis import AxisTask
-from eos_pin.tasks.base import PointLike, Task
+from eos_pin.tasks.base import Kind, PointLike, Task
 from eos_pin.tasks.extent import check_reach
-from eos_pin.tasks.orientation import HeadingTask, OrientationTask, PoseTask
-from eos_pin.tasks.relations import RelativePoseTask
-from eos_pin.tasks.stacked import StackedTask
 from eos_pin.tasks.tolerance import ToleranceTask
 from eos_pin.trajectories.base import Hold, Target, Trajectory
 from eos_pin.trajectories.harmonic import Harmonic, circle, figure_eight, line
@@ -30,14 +26,13 @@ from eos_pin.trajectories.stacked import StackedTrajectory
 from eos_pin.trajectories.tolerated import ToleratedPath
 from eos_pin.trajectories.waypoints import Waypoints, read_waypoints
 
-#: Kinds of parts of a task point, by how they are interpolated.
-Kind: TypeAlias = Literal["number", "rotation", "angle", "direction"]
 #: A gap between way points is a jump where it is this many times the median, and this long in metres and radians.
 JUMP, LONG = 20.0, 0.05
 #: First and last way point of a closed path are the same up to this [m, rad].
 SAME = 1e-6
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class WaypointPath(Trajectory):
     """A curve through way points with continuous acceleration; it repeats if it is closed.
@@ -71,7 +66,7 @@ class WaypointPath(Trajectory):
         """For each part of the task: where it is in z, its kind, and its spline with derivatives."""
         return [
             (part, kind, self._spline(self.points[:, part], kind == "rotation", kind == "angle"))
-            for part, kind in channels(self.task)
+            for part, kind in self.task.channels()
         ]
 
     def _spline(self, values: Array, turning: bool, angle: bool) -> Any:
@@ -128,8 +123,7 @@ class WaypointPath(Trajectory):
             rates[0].append(dp)
             rates[1].append(ddp)
         dz, ddz = (np.concatenate(rate, axis=1) for rate in rates)
-        if isinstance(self.task, ToleranceTask):
-            dz, ddz = self.task.rates(z, dz, ddz)
+        dz, ddz = self.task._rates(z, dz, ddz)
         if not self.closed:
             resting = (t < self.times[0]) | (t > self.times[-1])
             dz[resting], ddz[resting] = 0.0, 0.0
@@ -138,23 +132,6 @@ class WaypointPath(Trajectory):
     def describe(self) -> dict[str, Any]:
         """Plain values from which `WaypointPath(task, …)` makes the same path."""
         return {"points": self.points.tolist(), "times": self.times.tolist(), "closed": self.closed}
-
-
-def channels(task: Task) -> list[tuple[slice, Kind]]:
-    """Parts of a task point: where each is, and its kind."""
-    if isinstance(task, ToleranceTask):
-        return channels(task.whole)
-    if isinstance(task, StackedTask):
-        found: list[tuple[slice, Kind]] = []
-        first = 0
-        for part in task.tasks:
-            found += [(slice(s.start + first, s.stop + first), kind) for s, kind in channels(part)]
-            first += part.size
-        return found
-    if isinstance(task, (PoseTask, RelativePoseTask)):
-        return [(slice(0, 3), "number"), (slice(3, 12), "rotation")]
-    kinds: dict[type[Task], Kind] = {OrientationTask: "rotation", HeadingTask: "angle", AxisTask: "direction"}
-    return [(slice(0, task.size), next((kinds[c] for c in kinds if isinstance(task, c)), "number"))]
 
 
 def waypoint_path(
@@ -186,7 +163,7 @@ def waypoint_path(
             z.append(task.point(point))
         except InputError as error:
             raise InputError(f"{names[k]}: {error}") from error
-    whole = task.whole if isinstance(task, ToleranceTask) else task
+    whole = task.whole
     steps = np.array([whole.minus(b, a) for a, b in pairwise(z)])
     gaps = _lengths(steps)
     middle = float(np.median(gaps))
@@ -238,7 +215,7 @@ def read_path(path: str | Path, task: Task, z: Array, *, closed: bool = False) -
     """
     table = read_waypoints(path)
     rows = np.repeat(z[None], len(table), axis=0)
-    for part, kind in channels(task):
+    for part, kind in task.channels():
         width, turning, angle = part.stop - part.start, kind == "rotation", kind == "angle"
         if table.values is not None and table.values.shape[1] in (task.size, width):
             rows[:, part] = table.values[:, part] if table.values.shape[1] == task.size else table.values
@@ -263,9 +240,9 @@ def read_path(path: str | Path, task: Task, z: Array, *, closed: bool = False) -
 
 def directions_in(table: Waypoints, task: Task) -> Float[Array, "K 3"] | None:
     """Directions of the axis of a task in a table, from the poses in it if need be; None where there are none."""
-    whole = task.whole if isinstance(task, ToleranceTask) else task
-    parts = whole.tasks if isinstance(whole, StackedTask) else (whole,)
-    axis = next((part.axis for part in parts if isinstance(part, AxisTask)), None)
+    whole = task.whole
+    parts: Sequence[Any] = getattr(whole, "tasks", (whole,))
+    axis = next((part.axis for part in parts if hasattr(part, "axis")), None)
     return table.direction if table.rotation is None or axis is None else np.asarray(table.rotation @ np.array(axis))
 
 
@@ -343,9 +320,8 @@ def about(
     """
     if isinstance(task, ToleranceTask):
         return ToleratedPath(task, about(task.whole, z, shape, centre, size, plane, period))
-    first = task.tasks[0] if isinstance(task, StackedTask) else task
-    width = sum(unit == "m" for unit in first.units)
-    if width < 2 or task.units[:width] != ("m",) * width:
+    width = len(task.lengths)
+    if width < 2:
         raise InputError(f"{task!r} has no plane to draw a path in")
     middle = vector(centre, None, "the centre of the path")[:width]
     if shape == "line":

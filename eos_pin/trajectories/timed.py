@@ -8,11 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from eos_pin._arrays import Array, Vector, frozen_copy
+from eos_pin._arrays import Array, Vector, by_value, frozen_copy
 from eos_pin.errors import InputError
 from eos_pin.trajectories.base import Target, Trajectory
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class Pace:
     """Place on a path as a function of time, with continuous speed and acceleration: a quintic between two nodes.
@@ -94,6 +95,7 @@ class Pace:
         return Pace(times, self.places, self.speeds / factor, self.accelerations / factor**2)
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class TimedPath(Trajectory):
     """A task path in another time.

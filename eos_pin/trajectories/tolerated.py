@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from eos_pin._arrays import checked
+from eos_pin._arrays import by_value, checked
 from eos_pin.tasks.tolerance import ToleranceTask
 from eos_pin.trajectories.base import Target, Trajectory
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class ToleratedPath(Trajectory):
@@ -28,5 +29,5 @@ class ToleratedPath(Trajectory):
 
     def __call__(self, t: float) -> Target:
         z, dz, ddz = self.path(t)
-        (rate,), (bend,) = self.task.rates(z[None], dz[None], ddz[None])
+        (rate,), (bend,) = self.task._rates(z[None], dz[None], ddz[None])
         return Target(z, rate, bend)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eos_pin._arrays import Array, Vector, checked, frozen_copy
+from eos_pin._arrays import Array, Vector, by_value, checked, frozen_copy
 from eos_pin.errors import InputError
 
 #: Longest file that is read [bytes], and the most rows.
@@ -47,6 +47,7 @@ _UNITS = {"t": "s", "x": "m", "y": "m", "z": "m", "roll": "rad", "pitch": "rad",
 _UNIT = re.compile(r"\s*(?:[\[(]\s*(?P<bracket>[^\])]*?)\s*[\])]|_(?P<suffix>s|ms|us|ns|m|mm|cm|rad|deg))$")
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class Waypoints:
     """A table of way points; what no column gives is None.

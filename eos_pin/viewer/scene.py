@@ -22,6 +22,7 @@ from eos_pin._arrays import (
     JointVector,
     Vector,
     VectorLike,
+    by_value,
     checked,
     frozen_copy,
     vector,
@@ -42,6 +43,7 @@ from eos_pin.viewer._meshes import (
 PATH_POINTS = 2000
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -94,6 +96,8 @@ class Scene:
             t: Times of the frames [s], increasing.
             q: Joints at these times [rad or m].
         """
+        if len(t) != len(q):
+            raise InputError(f"joints are needed for each of {len(t)} times, got {len(q)} rows")
         blocks: list[bytes] = []
         parts = list(self._parts(blocks))
         header = {

@@ -113,6 +113,7 @@ class Viewer:
         """Number of browsers that are connected."""
         return len(self._server.clients)
 
+    @checked
     def open(self, *, wait: float = 10.0) -> bool:
         """Open the default browser and wait until it shows the scene.
 
@@ -124,6 +125,7 @@ class Viewer:
         """
         return webbrowser.open(self.url) and self._server.seen.wait(wait)
 
+    @checked
     def show(self, t: float, q: JointVector) -> None:
         """Show the robot at time `t` [s]; waits while the run is ahead of the clock on the wall."""
         # A run that was slower than the clock goes on from where it is: it does not hurry to catch up.
@@ -134,6 +136,7 @@ class Viewer:
             self._sent = time.monotonic()
             self._server.send(FRAME, _message(FRAME, np.array([t]), self._scene.poses(t, q)))
 
+    @checked
     def play(self, t: VectorLike, q: Float[np.ndarray, "k n"], *, fps: float = 30.0) -> None:
         """Hand a whole motion to the browsers, which play it by themselves; arguments as for `write_html`."""
         times, joints = sampled(self._scene.robot, t, q, rate=fps)

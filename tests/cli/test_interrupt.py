@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 import eos_pin
+from eos_pin.errors import take
 from eos_pin.experiments import sweeps
-from eos_pin.experiments._interrupts import patient_interrupts
+from eos_pin.experiments._interrupts import LOOK, patient_interrupts
 from eos_pin.simulation._recorder import uninterrupted
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="signals and /proc of Linux")
@@ -167,6 +168,55 @@ def test_ctrl_c_in_the_last_import_is_not_lost(tmp_path: Path, monkeypatch) -> N
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(KeyboardInterrupt), patient_interrupts():
         __import__("interrupted_last")
+
+
+def swallow() -> None:
+    with suppress(BaseException):
+        signal.raise_signal(signal.SIGINT)
+
+
+class Dropped:
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("lose", [swallow, Dropped], ids=["a library catches everything", "a destructor drops it"])
+@pytest.mark.parametrize("seconds", [0.0, PATIENCE], ids=["the command ends", "the command goes on"])
+def test_ctrl_c_that_is_lost_ends_the_command(lose: Callable[[], object], seconds: float) -> None:
+    def work() -> None:
+        with patient_interrupts():
+            lose()
+            time.sleep(seconds)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_ctrl_c_that_is_dealt_with_is_not_repeated() -> None:
+    with patient_interrupts():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt as interrupt:
+            take(interrupt)
+        time.sleep(3.0 * LOOK)
+
+
+def test_ctrl_c_is_not_repeated_while_files_are_closed() -> None:
+    closed = []
+
+    def work() -> None:
+        with patient_interrupts():
+            try:
+                signal.raise_signal(signal.SIGINT)
+            finally:
+                time.sleep(3.0 * LOOK)
+                closed.append(True)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert closed
 
 
 @pytest.mark.parametrize("module", ["eos_pin.cli.main", "tyro", "rich.console"])

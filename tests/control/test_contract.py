@@ -280,6 +280,16 @@ def test_open_loop_states_that_it_has_no_task(panda):
     assert simulate(panda, OpenLoop(lambda t: np.zeros(7)), Q, duration=0.01).message == ""
 
 
+def test_tasks_are_not_asked_for_their_types():
+    package = Path(eos_pin.__file__).parent
+    # A tolerance is another kind of task altogether, and has a whole task to ask.
+    forbidden = re.compile(r"(isinstance|hasattr|getattr)\((self\.)?_?task,(?! (Tolerance|LookAt)Task)|type\(task\)")
+    # The border asks every argument.
+    for path in set(package.rglob("*.py")) - set(package.glob("_arrays/*")):
+        found = [line for line in path.read_text(encoding="utf-8").splitlines() if forbidden.search(line)]
+        assert not found, f"{path.relative_to(package)}: {found}"
+
+
 def test_drivers_and_controllers_have_no_type_tests():
     package = Path(eos_pin.__file__).parent
     forbidden = re.compile(

@@ -39,16 +39,6 @@ pytestmark = pytest.mark.usefixtures("unchecked")
 
 
 @pytest.fixture(scope="module")
-def panda():
-    return load_robot("panda", chain_to="panda_hand_tcp")
-
-
-@pytest.fixture(scope="module")
-def task(panda):
-    return PositionTask(panda, "panda_hand_tcp")
-
-
-@pytest.fixture(scope="module")
 def found(task):
     """A circle on which v that is held needs several charts a round."""
     return plan(task, circle([0.7, 0.0, 0.4], 0.3, period=PERIOD))

@@ -183,7 +183,7 @@ def test_kinematic_loop_refuses_and_goes_on(panda):
 def test_kinematic_loop_refuses_bad_settings(panda):
     task = PositionTask(panda, HAND)
     hold = task.hold(REST)
-    with pytest.raises(InputError, match="control period"):
+    with pytest.raises(InputError, match="control_period"):
         KinematicLoop(task, hold, control_period=0.0)
     with pytest.raises(InputError, match="finite limit of every acceleration"):
         KinematicLoop(task, hold, control_period=0.01, limits=JointLimits.from_robot(panda))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import importlib
+import inspect
 from dataclasses import fields
 from pathlib import Path
 
@@ -15,9 +18,12 @@ from eos_pin.cli.main import main
 from eos_pin.cli.output import console, run_table
 from eos_pin.experiments.applicability import RULES
 from eos_pin.experiments.defaults import fitting_path, make_task, rest_posture
-from eos_pin.experiments.options import ControlOptions, PathOptions, RunOptions
+from eos_pin.experiments.options import ControlOptions, PathOptions, RunOptions, TaskOptions
 
 pytestmark = pytest.mark.usefixtures("unchecked")
+
+#: Modules of commands that are not called like them.
+MODULES = {"compare": "track", "robots": "replay"}
 
 REFUSED = [
     ("track panda --path hold --size 0.1", "--size 0.1 does not apply: it belongs to the paths eight, circle and line"),
@@ -68,7 +74,124 @@ REFUSED = [
     ("sweep panda --seeds 2", "--seeds 2 does not apply: nothing is random"),
     ("sweep panda --path hold --size 0.1,0.2", "--size 0.1 does not apply"),
     ("sweep panda --controller set-point --kp 50", "--kp 50.0 does not apply"),
+    ("sweep panda --controller set-point --kd 50", "--kd 50.0 does not apply"),
+    ("sweep panda --controller set-point --swing 0.1", "--swing 0.1 does not apply"),
+    ("sweep panda --controller set-point --self-motion damp", "--self-motion damp does not apply"),
+    ("sweep panda --self-motion damp --kp-self-motion 9", "--kp-self-motion 9.0 does not apply"),
+    ("sweep panda --self-motion free --kd-self-motion 9", "--kd-self-motion 9.0 does not apply"),
+    ("sweep panda --controller set-point --chart-margin 0.6", "--chart-margin 0.6 does not apply"),
+    ("sweep panda --path hold --period 5", "--period 5.0 does not apply"),
+    ("sweep panda --cycles 5 --duration 9", "--cycles 5 does not apply"),
+    ("sweep panda --task pose --axes xy", "axes 'xy' do not apply"),
+    ("sweep panda --noise 1e-5", "those of a sampled run; add --control-rate 1000"),
+    ("sweep panda --delay 0.01", "those of a sampled run"),
+    ("sweep panda --torque-limits", "those of a sampled run"),
+    *(
+        (f"track panda --plan p.npz {more}", f"{more.split()[0]} {told} does not apply: --plan has a task")
+        for more, told in (
+            ("--task pose", "pose"),
+            ("--axes xy", "xy"),
+            ("--tool-axis x", "x"),
+            ("--path circle", "circle"),
+            ("--self-motion damp", "damp"),
+        )
+    ),
+    ("track panda --tool-axis x", "a tool axis, 'x', does not apply to a task of position"),
+    ("compare panda --tool-axis x", "a tool axis, 'x', does not apply"),
+    ("plan panda --tool-axis x", "a tool axis, 'x', does not apply"),
+    ("ik panda --tool-axis x", "a tool axis, 'x', does not apply"),
+    ("info panda --tool-axis x", "a tool axis, 'x', does not apply"),
+    ("compare panda --task pose --axes xy", "axes 'xy' do not apply"),
+    ("plan panda --task pose --axes xy", "axes 'xy' do not apply"),
+    ("ik panda --task pose --axes xy", "axes 'xy' do not apply"),
+    ("info panda --task pose --axes xy", "axes 'xy' do not apply"),
+    ("track ur5 --task pose --v 0.1", "no self-motion to command"),
+    ("track ur5 --task pose --kp-self-motion 50", "no self-motion to command"),
+    ("track ur5 --task pose --chart-margin 0.6", "no self-motion to command"),
+    ("ik ur5 --task pose --v 0.1", "--v does not apply: the task takes all joints (r = 0)"),
+    *(
+        (f"{command} panda {option}", "those of a sampled run; add --control-rate 1000")
+        for command in ("track", "compare")
+        for option in (
+            "--noise 1e-5",
+            "--delay 0.01",
+            "--dropout 0.1",
+            "--friction 1 1",
+            "--push 1 0 0",
+            "--torque-limits",
+            "--torque-rate 9",
+            "--soft-start 0.1",
+        )
+    ),
+    *(
+        (f"compare panda {option}", "does not apply")
+        for option in (
+            "--path hold --plane yz",
+            "--path hold --period 5",
+            "--substeps 2",
+            "--control-rate 500 --push-time 1 2",
+            "--control-rate 500 --rtol 1e-6",
+            "--control-rate 500 --method RK45",
+        )
+    ),
+    ("compare panda --controllers eos eos", "each controller is compared once"),
+    *(
+        (f"plan panda --path way.csv {option}", "does not apply: it belongs to the paths eight, circle and line")
+        for option in ("--size 0.1", "--centre 0 0 0", "--plane yz", "--period 3")
+    ),
+    ("plan panda --timing fastest --period 3", "--period 3 does not apply: --timing fastest finds the time"),
+    ("plan panda --clearance 0.1", "--clearance 0.1 does not apply: there is nothing to be clear of"),
+    ("plan panda --capsules c.json", "--capsules c.json does not apply"),
+    ("plan panda --cost clearance", "needs a scene or self_collision"),
+    ("replay run.npz --csv a.csv --robot panda", "--robot panda does not apply"),
+    ("robots --html a.html", "a list of robots cannot be drawn"),
+    ("robots --plot a.png", "a list of robots cannot be drawn"),
+    ("robots --view", "a list of robots cannot be drawn"),
 ]
+
+#: Options that count in every combination, by command: what is asked for, and files that are written.
+ROBOT, FILES = "robot frame lock package_dirs gravity tool payload", "out json html plot csv view"
+ALWAYS = {
+    "track": f"{ROBOT} q0 duration controller plant control_rate model_error {FILES} plan scene",
+    "compare": f"{ROBOT} task q0 path duration plant control_rate model_error {FILES}",
+    "plan": f"{ROBOT} task q0 path closed scene self_collision margin joint_step start reconfigurations effort timing "
+    f"acceleration torque_limits {FILES} seed save",
+    "sweep": "robot task path controller payload control_rate model_error frame gravity duration plant out table plot "
+    "json jobs",
+    "info": f"{ROBOT} task q0 out json html plot view",
+    "ik": f"{ROBOT} task q0 {FILES}",
+    "replay": f"run {FILES}",
+    "robots": "name out json",
+}
+
+
+def options_of(command):
+    """Names of all options of a command."""
+    for parameter in inspect.signature(command, eval_str=True).parameters.values():
+        if dataclasses.is_dataclass(parameter.annotation):
+            yield from (each.name for each in fields(parameter.annotation))
+        else:
+            yield parameter.name
+
+
+@pytest.mark.parametrize("name", ALWAYS)
+def test_every_option_counts_always_or_is_refused_somewhere(name):
+    command = getattr(importlib.import_module(f"eos_pin.cli.{MODULES.get(name, name)}"), name)
+    refused = {word[2:].replace("-", "_") for words, _ in REFUSED if words.startswith(name) for word in words.split()}
+    left = set(options_of(command)) - set(ALWAYS[name].split()) - refused
+    assert not left, f"no combination is tried in which {sorted(left)} of {name} do not apply"
+
+
+def test_sweep_prints_the_notes_of_paths_and_tasks(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    task = make_task(load_robot("ur5", chain_to="auto"), "pose")
+    x, y, z = task.value(rest_posture(task))[:3]
+    Path("late.csv").write_text(f"t,x,y,z\n1.7e9,{x},{y},{z}\n1700000000.2,{x},{y},{z + 0.005}\n")
+    assert main(["sweep", "ur5", "--task", "pose", "--path", "late.csv", "--jobs", "1", "--out", "kept"]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "late.csv" in told
+    assert "1.7e+09" in told or "1700000000" in told
+    assert "(r = 0)" in told
 
 
 @pytest.mark.parametrize(("words", "told"), REFUSED, ids=[words for words, _ in REFUSED])
@@ -80,7 +203,8 @@ def test_option_that_changes_nothing_is_refused(words: str, told: str, tmp_path:
 
 
 def test_rules_name_options_that_exist() -> None:
-    known = {each.name for kind in (PathOptions, ControlOptions, RunOptions) for each in fields(kind)} | {"seed"}
+    kinds = (TaskOptions, PathOptions, ControlOptions, RunOptions)
+    known = {each.name for kind in kinds for each in fields(kind)} | {"seed"}
     assert {name for rule in RULES for name in rule.names} <= known
 
 

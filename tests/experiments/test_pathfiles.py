@@ -14,12 +14,12 @@ from eos_pin import (
     OrientationTask,
     PoseTask,
     PositionTask,
+    RelativePoseTask,
     StackedTask,
     load_robot,
     path_from_csv,
 )
 from eos_pin.experiments.path_files import points_along, task_point
-from eos_pin.tasks.extent import balls
 from eos_pin.trajectories.waypoints import from_angles
 
 Q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
@@ -198,7 +198,7 @@ def test_balls_contain_every_posture():
         if robot.n >= 4:
             tasks.append(StackedTask(tasks[:2]))
         for task in tasks:
-            found = balls(task)
+            found = task.balls()
             assert len(found) == (2 if isinstance(task, StackedTask) else 1) or not np.isfinite(robot.upper).all()
             for q in random.uniform(lower, upper, (200, robot.n)):
                 for rows_, center, radius in found:
@@ -207,10 +207,23 @@ def test_balls_contain_every_posture():
 
 def test_balls_are_tight_for_a_stretched_arm(planar):
     task = PositionTask(planar, tip(planar), "xy")
-    for rows_, center, radius in balls(task):
+    for rows_, center, radius in task.balls():
         straight = np.zeros(planar.n)
         straight[:2] = planar.upper[:2]
         assert np.linalg.norm(task.value(straight)[rows_] - center) > 0.6 * radius
+
+
+def test_path_of_a_relative_pose_takes_the_columns_of_poses(tmp_path):
+    robot = load_robot("panda", chain_to="panda_hand_tcp")
+    task = RelativePoseTask(robot, "panda_hand_tcp", "panda_link0")
+    q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8])
+    z = task.value(q)
+    pose = PoseTask(robot, "panda_hand_tcp")
+    np.testing.assert_allclose(z, pose.value(q), atol=1e-12)
+    places = z[:3] + np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.01], [0.03, -0.02, 0.0]])
+    file = written(tmp_path, rows("t,x,y,z", [0.0, 1.0, 2.0], places))
+    for t in (0.0, 0.7, 2.0):
+        np.testing.assert_allclose(path_from_csv(file, task, q)(t).z, path_from_csv(file, pose, q)(t).z, atol=1e-12)
 
 
 # -- task points -----------------------------------------------------------------------------------------------------

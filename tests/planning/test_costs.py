@@ -6,23 +6,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from eos_pin import InputError, PositionTask, load_robot
+from eos_pin import InputError
 from eos_pin.errors import UnknownNameError
 from eos_pin.planning.costs import NAMES, costs_of
 from eos_pin.planning.obstacles.bodies import Bodies, Clearances
 from eos_pin.planning.obstacles.scene import Box, Capsule, Scene
 from eos_pin.planning.planner import plan
 from eos_pin.tasks.batch import Manifold
-
-
-@pytest.fixture(scope="module")
-def panda():
-    return load_robot("panda", chain_to="panda_hand_tcp")
-
-
-@pytest.fixture(scope="module")
-def task(panda):
-    return PositionTask(panda, "panda_hand_tcp")
 
 
 @pytest.fixture(scope="module")

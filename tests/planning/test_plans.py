@@ -27,16 +27,6 @@ SOLVED = 1e-9
 
 
 @pytest.fixture(scope="module")
-def panda():
-    return load_robot("panda", chain_to="panda_hand_tcp")
-
-
-@pytest.fixture(scope="module")
-def task(panda):
-    return PositionTask(panda, "panda_hand_tcp")
-
-
-@pytest.fixture(scope="module")
 def round_trip(task):
     """A circle around the base, on which a held v drifts by radians a round and leaves the limits."""
     return plan(task, circle([0.45, 0.0, 0.5], 0.45, period=8.0))

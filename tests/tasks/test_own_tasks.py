@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from checks import random_state
+from checks import TAU, all_tasks, random_state
 
 from eos_pin import (
     ControlLoop,
@@ -242,3 +242,24 @@ def test_own_task_runs_in_a_control_loop(panda):
     task, q = Scaled(panda, TIP), np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
     loop = ControlLoop(EosController(task, Hold(task.value(q))))
     np.testing.assert_allclose(loop.step(0.0, q, 0.0 * q), panda.gravity(q), atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "task"), all_tasks())
+def test_channels_are_the_parts_of_a_point(name, task):
+    q = random_state(task.robot, seed=1)[0]
+    z, ends = task.value(q), [0]
+    for part, kind in task.channels():
+        assert part.start == ends[-1]
+        ends.append(part.stop)
+        values = z[part]
+        if kind == "rotation":
+            R = values.reshape(3, 3)
+            np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
+        elif kind == "direction":
+            assert np.linalg.norm(values) == pytest.approx(1.0, abs=1e-12)
+        elif kind == "angle":
+            turned = z.copy()
+            turned[part] += TAU
+            np.testing.assert_allclose(task.minus(turned, z), 0.0, atol=1e-12)
+    assert ends[-1] == task.size
+    assert task.form == tuple(kind for _, kind in task.channels())

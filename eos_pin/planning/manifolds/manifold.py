@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,6 +19,7 @@ from eos_pin._arrays import (
     checked,
     frozen_copy,
     listed,
+    number_of,
     pair,
     vector,
 )
@@ -94,7 +95,7 @@ class SelfMotionManifold:
     # -- postures ----------------------------------------------------------------------------------------------------
 
     @checked
-    def joints(self, arc: Arc, s: Array) -> Float[Array, "K n"]:
+    def joints(self, arc: Arc, s: VectorLike) -> Float[Array, "K n"]:
         """Joints of an arc at arc lengths, within limits."""
         return self._exact(arc_joints(self.components[arc.component], arc, vector(s, None, "s")))
 
@@ -146,6 +147,7 @@ class SelfMotionManifold:
             InputError: There is none.
         """
         self._need_one()
+        criterion = partial(number_of, "the criterion", criterion)
         if self.covering is not None:
             return self.covering.q[int(np.argmin([criterion(q) for q in self.covering.q]))]
         found: list[tuple[float, JointVector]] = []

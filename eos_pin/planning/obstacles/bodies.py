@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, checked
+from eos_pin._arrays import Array, as_floats, by_value, checked, listed, of_type, pair
 from eos_pin._kernels.dispatch import kernels
 from eos_pin._kernels.distances import segment_to_box, segment_to_segment
 from eos_pin._kernels.flat import flat_model
@@ -29,6 +29,8 @@ TRIED, OFTEN, SOMETIMES = 400, 0.8, 0.2
 CHUNK = 128
 
 
+@by_value
+@checked
 @checked
 @dataclass(frozen=True, eq=False)
 class Bodies:
@@ -45,8 +47,12 @@ class Bodies:
     pairs: Sequence[tuple[int, int]] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "capsules", tuple(self.capsules))
-        object.__setattr__(self, "pairs", tuple(self.pairs))
+        object.__setattr__(self, "capsules", tuple(map(_carried, self.capsules)))
+        pairs = as_floats(self.pairs, "pairs")
+        pairs = pairs if pairs.size else pairs.reshape(0, 2)
+        if pairs.ndim != 2 or pairs.shape[1] != 2 or not np.isin(pairs, np.arange(len(self.capsules))).all():
+            raise InputError(f"pairs must be numbers of two of {len(self.capsules)} capsules, got {self.pairs!r}")
+        object.__setattr__(self, "pairs", tuple(map(tuple, pairs.astype(int).tolist())))
         for link, _ in self.capsules:
             if link not in self.robot.frames:
                 raise UnknownNameError("link", link, self.robot.frames)
@@ -96,7 +102,9 @@ class Bodies:
                 if i == 0 or above in frames:
                     break
             parents[name] = above
-        skipped = {frozenset(pair) for pair in unchecked}
+        skipped = {frozenset(map(str, listed(pair, "each of unchecked"))) for pair in unchecked}
+        for name in frozenset().union(*skipped) - frames.keys():
+            raise UnknownNameError("link with a capsule", str(name), names)
         pairs = [
             (i, j)
             for i, a in enumerate(names)
@@ -282,6 +290,12 @@ class Clearances:
                 f"{solid!r} of the scene overlaps the link {link!r}, which never moves, by {-distances[worst]:.3g} m: "
                 "no motion avoids that. Move or shrink the solid"
             )
+
+
+def _carried(entry: Any) -> tuple[str, Capsule]:
+    """A link and its capsule."""
+    link, capsule = pair(entry, "each of capsules")
+    return str(link), of_type(capsule, "the capsule of a link", Capsule)
 
 
 def _around(shape: pin.GeometryObject, place: pin.SE3) -> Capsule:

@@ -20,7 +20,8 @@ from eos_pin._arrays import (
     Array,
     JointVector,
     VectorLike,
-    by_identity,
+    by_value,
+    called,
     checked,
     number,
     vector,
@@ -62,7 +63,9 @@ class Obstacle:
     @checked
     def at(self, t: float) -> pin.SE3:
         """Pose in the world at time `t` [s]."""
-        placement = self.placement(t) if callable(self.placement) else self.placement
+        placement = self.placement
+        if callable(placement):
+            placement = called(f"the placement of {self.name!r}", placement, t)
         if isinstance(placement, pin.SE3):
             return placement
         if np.shape(placement) == (4, 4):
@@ -71,7 +74,7 @@ class Obstacle:
         return pin.SE3(np.eye(3), vector(placement, 3, f"position of {self.name!r}"))
 
 
-@by_identity
+@by_value
 class ClosestPair(NamedTuple):
     """The shortest way between one body and one obstacle.
 

@@ -14,6 +14,8 @@ import pinocchio as pin
 from eos_pin._arrays import (
     Array,
     VectorLike,
+    as_floats,
+    by_value,
     checked,
     frozen_copy,
     number,
@@ -32,6 +34,7 @@ meshes:
   - {file: part.stl, centre: [0.5, 0, 0.4], rotation: [1, 0, 0, 0], scale: 0.001}"""
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class Box:
@@ -55,6 +58,7 @@ class Box:
         object.__setattr__(self, "rotation", _quaternion(self.rotation, self.name))
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class Capsule:
@@ -84,6 +88,7 @@ def sphere(centre: VectorLike, radius: float, name: str = "sphere") -> Capsule:
     return Capsule(centre, centre, radius, name)
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -95,12 +100,12 @@ class Mesh:
         file: The file it was read from, if any.
     """
 
-    vertices: Array
+    vertices: Array | Sequence[Sequence[float]]
     name: str = "mesh"
     file: str = ""
 
     def __post_init__(self) -> None:
-        vertices = np.asarray(self.vertices, dtype=float)
+        vertices = as_floats(self.vertices, f"the corners of the mesh {self.name!r}")
         if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 4 or not np.isfinite(vertices).all():
             raise InputError(
                 f"the mesh {self.name!r} must have four corners or more, as rows x, y, z of finite numbers"
@@ -108,6 +113,7 @@ class Mesh:
         object.__setattr__(self, "vertices", frozen_copy(vertices))
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class Scene:

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from eos_pin._arrays import number
-from eos_pin.errors import InputError, RobotError, UnknownNameError
+from eos_pin.errors import RobotError, UnknownNameError
 from eos_pin.robot._one_degree import one_degree_model
-from eos_pin.robot._parts import find_frame
+from eos_pin.robot._parts import find_frame, locked_at
 from eos_pin.robot.geometry import quiet
 
 #: So much of a file is looked at to tell its format [bytes].
@@ -65,9 +64,6 @@ def locked_model(model: pin.Model, lock: Mapping[str, float | None], chain_to: s
     q = np.clip(np.zeros(model.nq), model.lowerPositionLimit, model.upperPositionLimit)
     for i, position in held.items():
         if position is not None:
-            name, k = model.names[i], model.joints[i].idx_q
-            q[k] = number(position, f"position of joint {name!r}")
-            lower, upper = model.lowerPositionLimit[k], model.upperPositionLimit[k]
-            if not lower <= q[k] <= upper:
-                raise InputError(f"joint {name!r} moves from {lower:g} to {upper:g} and cannot be locked at {q[k]:g}")
+            k = model.joints[i].idx_q
+            q[k] = locked_at(model.names[i], position, model.lowerPositionLimit[k], model.upperPositionLimit[k])
     return pin.buildReducedModel(model, sorted(held), q) if held else model
