@@ -162,7 +162,9 @@ def objects():
     ]
     listed += [eos_pin.LookAtTask(panda, hand, (1.3, -0.4, 1.2), "x")]
     listed += [eos_pin.RelativePositionTask(panda, hand, "panda_link2")]
-    listed += [eos_pin.ToleranceTask(pose, {"rz": 0.5}), eos_pin.load_robot(FOLLOWER, chain_to="l2")]
+    tolerant, rest = eos_pin.ToleranceTask(pose, {"rz": 0.5}), np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
+    listed += [tolerant, eos_pin.KeepTolerance(eos_pin.Damp(), tolerant, tolerant.hold(rest))]
+    listed += [eos_pin.load_robot(FOLLOWER, chain_to="l2")]
     listed += [eos_pin.RelativePoseTask(panda, hand, panda.model.frames[1].name)]
     listed += [eos_pin.Scene(robot), _waypoints(), eos_pin.Viewer(eos_pin.Scene(robot), q, port=0)]
     first = {}
@@ -230,6 +232,11 @@ def special(label):
         "Bodies.of": {"capsules": {frame: planning.Capsule([0.0] * 3, [0.1, 0.0, 0.0], 0.05)}},
         "KinematicLoop": {"limits": eos_pin.JointLimits.without_torques(made["robot"], velocity=9.0, acceleration=9.0)},
         "simulate_kinematic": {"loop": objects()[eos_pin.KinematicLoop]},
+        "KeepTolerance": {
+            "law": eos_pin.Damp(),
+            "task": (tolerant := objects()[eos_pin.ToleranceTask]),
+            "reference": tolerant.hold(np.full(7, 0.3)),
+        },
         "ToleranceTask": {"whole": task, "tolerance": {"y": 0.1}},
         "JointTask": {"combinations": [{made["robot"].joints[0].name: 1.0}]},
         "JointMap": {"names": [joint.name for joint in made["robot"].joints]},
