@@ -82,7 +82,7 @@ def robots(name: tyro.conf.Positional[str] = "", output: Output = Output()) -> i
       eos-pin robots panda
     """
     output.without("seed", reason="nothing is random here")
-    if output.html or output.plot or output.csv or output.view:
+    if any((output.html, output.plot, output.csv, output.view, output.bag, output.rerun)):
         raise InputError("a list of robots cannot be drawn; try `eos-pin info ROBOT --html FILE`")
     found = [robot for robot in available_robots() if name.lower() in robot.name.lower()]
     if not found:

@@ -147,10 +147,17 @@ REFUSED = [
     ("robots --html a.html", "a list of robots cannot be drawn"),
     ("robots --plot a.png", "a list of robots cannot be drawn"),
     ("robots --view", "a list of robots cannot be drawn"),
+    ("robots --bag a.bag", "a list of robots cannot be drawn"),
+    ("robots --rerun a.rrd", "a list of robots cannot be drawn"),
+    ("info panda --bag a.bag", "--bag a.bag does not apply"),
+    ("info panda --rerun a.rrd", "--rerun a.rrd does not apply"),
 ]
 
 #: Options that count in every combination, by command: what is asked for, and files that are written.
-ROBOT, FILES = "robot frame lock package_dirs gravity tool payload", "out json html plot csv view"
+ROBOT, FILES = (
+    "robot frame lock package_dirs gravity tool payload point tolerance",
+    "out json html plot csv view bag rerun",
+)
 ALWAYS = {
     "track": f"{ROBOT} q0 duration controller plant control_rate model_error {FILES} plan scene",
     "compare": f"{ROBOT} task q0 path duration plant control_rate model_error {FILES}",
