@@ -21,7 +21,7 @@ from eos_pin import (
     simulate_sampled,
 )
 from eos_pin._kernels.dispatch import REFERENCES
-from eos_pin.control._smallest_change import SmallestChange
+from eos_pin.control._smallest_change import FADE, SmallestChange
 
 REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 PERIOD = 1e-3
@@ -35,7 +35,7 @@ def with_plain_limits(controller: LimitedEosController) -> LimitedEosController:
 
 @given(st.integers(0, 2**32 - 1))
 def test_joints_are_lost_only_if_hopeless_or_excluded_by_joints_before_them(seed):
-    """Linear programs of their own decide who is kept, in the order that is given."""
+    """Linear programs of their own find the least that each joint must lack, one after the other."""
     random = np.random.default_rng(seed)
     n = 4
     root = random.normal(size=(n, n))
@@ -50,28 +50,30 @@ def test_joints_are_lost_only_if_hopeless_or_excluded_by_joints_before_them(seed
     assert (effort <= upper[n:] + 1e-6 * (1.0 + torque)).all()
     assert (effort >= lower[n:] - 1e-6 * (1.0 + torque)).all()
     box = np.column_stack((lower[n:], upper[n:]))
-
-    def possible(joints: list[int], room: float = 1e-3) -> bool:
-        A = np.vstack((W[joints], -W[joints]))
-        b = np.concatenate((upper[joints], -lower[joints])) - room
-        return linprog(np.zeros(n), A_ub=A, b_ub=b, bounds=box).status == 0
-
-    kept: list[int] = []
-    hopeless = [j for j in range(n) if not possible([j], 0.0)]
     reach = W * box[:, 0], W * box[:, 1]
     most, least = np.maximum(*reach).sum(axis=1), np.minimum(*reach).sum(axis=1)
-    for j in hopeless:
-        side = 1 if most[j] < lower[j] else 0
-        if max(lower[j] - most[j], least[j] - upper[j]) * M[j, j] > 1.1 * torque[j]:
-            # Braking with all it has; those that are hopeless by a hair are on the way there.
-            np.testing.assert_allclose(effort[j], box[j, side], atol=1e-6 * (1.0 + torque[j]))
-        box[j] = box[j, side]
-    for j in order:
-        if j in hopeless or not possible([*kept, j]):
-            # The help that a lost joint still gets, lest the torque jump, may exclude joints after it.
-            return
-        kept.append(j)
-        assert lower[j] - 1e-3 <= change[j] <= upper[j] + 1e-3
+    for j in range(n):
+        side, lack = (1, lower[j] - most[j]) if most[j] < lower[j] else (0, least[j] - upper[j])
+        if lack > 0.0:
+            # Hopeless; those that are by a hair are on the way to braking with all they have.
+            box[j, 1 - side] += min(lack * M[j, j] / torque[j], 1.0) * (box[j, side] - box[j, 1 - side])
+            assert box[j, 0] - 1e-6 * (1.0 + torque[j]) <= effort[j] <= box[j, 1] + 1e-6 * (1.0 + torque[j])
+    below, above = lower[:n].copy(), upper[:n].copy()
+    for k, j in enumerate(order, 1):
+        rows, slack = W[order[:k]], np.zeros((k, 1))
+        slack[-1] = -1.0
+        found = linprog(
+            [*np.zeros(n), 1.0],
+            A_ub=np.block([[rows, slack], [-rows, slack]]),
+            b_ub=np.concatenate((above[order[:k]], -below[order[:k]])),
+            bounds=[*box, (0.0, None)],
+        )
+        assert found.status == 0
+        # A joint that can be kept is; one that cannot be lacks no more than the rule allows.
+        allowed = (1.0 + FADE) * found.fun
+        scale = 1e-3 + 1e-4 * allowed
+        assert lower[j] - allowed - scale <= change[j] <= upper[j] + allowed + scale
+        below[j], above[j] = below[j] - allowed - 1e-7, above[j] + allowed + 1e-7
 
 
 def lift_arm(shoulder: float) -> Robot:
