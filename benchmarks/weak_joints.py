@@ -292,10 +292,11 @@ def weak_figures(runs: Sequence[Outcome]) -> dict[str, float]:
         "of those, by one alone, where torques keep either": sum(len(row.either) for row in runs),
         "of these, excluded by help that still ended": verdicts.count(ENDING),
         "of these, that could keep them": verdicts.count(WRONG),
-        "periods in which joints are lost, some of each such run": len(lost),
-        "joints lost then besides hopeless ones, mean": float(lost[:, 0].mean()) if len(lost) else 0.0,
+        "periods in which a joint leaves its bounds, some of each such run": len(lost),
+        "of these, in which no torques keep all joints that are not hopeless": int((lost[:, 1] > 0).sum()),
+        "joints lost in them besides hopeless ones, mean": float(lost[:, 0].mean()) if len(lost) else 0.0,
         "the smallest number possible, mean": float(lost[:, 1].mean()) if len(lost) else 0.0,
-        "periods in which more are lost than must be": int((lost[:, 0] > lost[:, 1]).sum()),
+        "of these, in which more are lost than must be": int((lost[:, 0] > lost[:, 1]).sum()),
     }
 
 
