@@ -15,6 +15,7 @@ cnp.import_array()
 
 cdef int DONE = dispatch.DONE, UNDECIDED = dispatch.UNDECIDED, NO_ANSWER = dispatch.NO_ANSWER
 cdef double FAST = plain_parts.FAST
+cdef int TIMES = plain_parts.TIMES
 
 
 cdef class Limits:
@@ -109,17 +110,20 @@ cdef class Limits:
         if part > 1.0 or fast > 0.0:
             for i in range(n):
                 self.least[i], self.most[i] = min(self.least[i], data(mean)[i]), max(self.most[i], data(mean)[i])
-            if fast > 0.0:
-                more = self.held(q, dq, tau)
-                for i in range(n):
-                    data(mean)[i] += min(fast, 1.0) * (data(more)[i] - data(mean)[i])
-            self.within(mean, tau, below, above)
             M = self.model._mass(middle)
-            more = self.smallest(J, M, below, above)
+            for _ in range(TIMES if fast > 0.0 else 1):
+                if fast > 0.0:
+                    more = self.held(q, dq, tau)
+                    for i in range(n):
+                        data(mean)[i] += min(fast, 1.0) * (data(more)[i] - data(mean)[i])
+                self.within(mean, tau, below, above)
+                more = self.smallest(J, M, below, above)
+                for i in range(n):
+                    data(mean)[i] += data(more)[i]
+                    data(change)[i] += data(more)[i]
+                    for j in range(n):
+                        data(tau)[i] += entry(M, i, j) * data(more)[j]
             for i in range(n):
-                data(change)[i] += data(more)[i]
-                for j in range(n):
-                    data(tau)[i] += entry(M, i, j) * data(more)[j]
                 data(tau)[i] = min(max(data(tau)[i], -self.torque[i]), self.torque[i])
         return tau, change
 

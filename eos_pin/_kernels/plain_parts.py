@@ -19,6 +19,8 @@ from eos_pin._kernels.dispatch import DONE, NO_ANSWER, UNDECIDED
 INNER, SPEEDY, WIDE = 0.75, 0.3, 1e3
 #: From this part of its speed limit on a joint counts as fast: the middle of a period does not tell all of it then.
 FAST = 1.1
+#: How often the motion of a whole period is predicted then.
+TIMES = 4
 
 
 class Viability:
@@ -167,12 +169,16 @@ class Limits:
         if fast or (np.abs(tau) > torque).any():
             # Who gives way to whom is settled.
             least, most = np.minimum(least, mean), np.maximum(most, mean)
-            if fast:
-                mean += fast * (self._held(q, dq, tau) - mean)
             M = model._mass(middle)
-            lower, upper = np.concatenate((least - mean, -torque - tau)), np.concatenate((most - mean, torque - tau))
-            more = self._smallest(J, M, lower, upper)
-            tau, change = tau + M.dot(more), change + more
+            for _ in range(TIMES if fast else 1):
+                if fast:
+                    mean += fast * (self._held(q, dq, tau) - mean)
+                lower, upper = (
+                    np.concatenate((least - mean, -torque - tau)),
+                    np.concatenate((most - mean, torque - tau)),
+                )
+                more = self._smallest(J, M, lower, upper)
+                tau, mean, change = tau + M.dot(more), mean + more, change + more
         # For rounding only.
         return np.minimum(np.maximum(tau, -torque), torque), change
 
