@@ -169,7 +169,7 @@ class Renamed:
 
 
 def renamed(**names: str) -> Callable[[F], F]:
-    """Decorator of a function or class some of whose keyword arguments were renamed: an old one raises an error.
+    """Decorator that refuses old names of keyword arguments, and gives the new ones.
 
     Args:
         names: The new name of each old one.

@@ -21,7 +21,7 @@ class Part(NamedTuple):
     """A part of a task that is read off the pose of one frame.
 
     Attributes:
-        kind: Which function of the pose.
+        kind: Kind of function of the pose.
         frame: Number of the frame in the Pinocchio model.
         axes: For a position, the coordinates that count, some of 0, 1, 2.
         direction: For an axis, its unit vector in the frame.

@@ -32,7 +32,7 @@ class Follower(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """One problem of inverse kinematics: joints at a task point, and what is tried to find them.
+    """One problem of inverse kinematics: joints at a task point, and the ways to find them.
 
     Attributes:
         task: The task.

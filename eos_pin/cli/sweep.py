@@ -206,7 +206,7 @@ def _watched(planned: list[Trial], folder: Path, jobs: int) -> list[Row]:
         try:
             return sweeps.sweep(planned, folder=folder, jobs=jobs, observer=tell)
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"{counts[0]} of {counts[1]} done, the same command goes on") from None
+            raise KeyboardInterrupt(f"{counts[0]} of {counts[1]} done; run the same command again to go on") from None
 
 
 def _check(axes: dict[str, Sequence[Any]], same: Row) -> None:

@@ -28,11 +28,11 @@ class EosState:
 
     Attributes:
         drive: Map from the law to joint accelerations on the chart it is on.
-        number: How many charts came before it.
+        number: Number of charts before it.
         law: The law and `drive` in one, compiled, where there is that.
         since: Time from which the chart is used [s].
         carried: Difference of the self-motion acceleration then from that on the chart before, (r,); None on the first.
-        made_of: Stands for the gains and targets that `drive` and `law` were made of.
+        made_of: Object that stands for the gains and targets of which `drive` and `law` were made.
     """
 
     drive: AccelerationMap

@@ -93,7 +93,7 @@ def simulate_sampled(
     if substeps < 1 or substeps != int(substeps):
         raise InputError(f"substeps must be a whole number of at least 1, got {substeps}")
     if not 0.0 <= number(dropout, "the dropout") < 1.0:
-        raise InputError(f"the dropout is a probability from 0 to below 1, got {dropout}")
+        raise InputError(f"the dropout must be a probability, at least 0 and below 1, got {dropout}")
     random = np.random.default_rng(seed)
     system = JointSystem(plant, controller, task_force, friction)
     system.begin(q, dq)

@@ -57,7 +57,7 @@ class Harmonic(Trajectory):
                 raise InputError(f"{name} must be finite and of shape (K, {center.size}), got shape {amplitudes.shape}")
             object.__setattr__(self, name, frozen_copy(amplitudes))
         if self.sines.shape != self.cosines.shape:
-            raise InputError(f"sines and cosines must be as many, got {self.sines.shape} and {self.cosines.shape}")
+            raise InputError(f"sines and cosines must have one shape, got {self.sines.shape} and {self.cosines.shape}")
         object.__setattr__(self, "center", frozen_copy(center))
 
     @property

@@ -105,7 +105,7 @@ def test_sweep_ends_and_keeps_what_is_finished(command, jobs: int, whole_group: 
     code, said = swept.interrupt(whole_group)
     assert code == 130, said
     # Between the file and the count is an instant.
-    assert "2 of 4 done, the same command goes on" in said or "1 of 4 done" in said
+    assert "2 of 4 done; run the same command again to go on" in said or "1 of 4 done" in said
     assert "Traceback" not in said
     assert "Warning" not in said
     kept = [json.loads(file.read_text()) for file in finished.iterdir()]

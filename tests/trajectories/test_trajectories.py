@@ -247,7 +247,7 @@ def test_targets_cannot_be_changed_from_outside():
         (lambda: circle((0.0, 0.0), 1.0, period=math.inf), "period must be a finite number"),
         (lambda: line((0.0, 0.0), (1.0,), period=1.0), "the center must be 1 numbers"),
         (lambda: Harmonic((0.0,), [[1.0, 2.0]], [[0.0]], 1.0), r"sines must be finite and of shape \(K, 1\)"),
-        (lambda: Harmonic((0.0,), [[1.0], [2.0]], [[0.0]], 1.0), "must be as many"),
+        (lambda: Harmonic((0.0,), [[1.0], [2.0]], [[0.0]], 1.0), "must have one shape"),
         (lambda: minimum_jerk([(0.0, 0.0)], [0.0]), "at least two finite points"),
         (lambda: minimum_jerk([(0.0, 0.0), (1.0,)], [0.0, 1.0]), "rows of equally many numbers"),
         (lambda: minimum_jerk([(0.0,), (1.0,)], [0.0, 0.0]), "must increase"),
