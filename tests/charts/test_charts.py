@@ -86,7 +86,7 @@ def test_configuration_is_given_by_its_coordinates(task, data):
 
 @every
 @given(data=st.data())
-def test_velocities_and_accelerations(task, data):
+def test_chart_point_has_velocities_and_accelerations_of_the_task(task, data):
     """Eqs. (15)–(20) at a state of the robot."""
     chart = Chart.from_base(task, regular(data, task))
     q, dq, ddq = near(data, chart), data.draw(checks.velocities(task.robot)), data.draw(checks.velocities(task.robot))

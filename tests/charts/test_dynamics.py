@@ -127,7 +127,7 @@ def test_mass_of_the_ppr_robot_in_closed_form(ppr):
 
 @every
 @given(data=st.data())
-def test_task_space_dynamics(task, data):
+def test_task_space_dynamics_have_the_motion_they_stand_for(task, data):
     """Eqs. (5)–(9): Λ, μ, p, and the motion they stand for."""
     robot, (q, dq) = task.robot, state(data, task)
     tau = data.draw(checks.numbers(robot.n, 10.0))

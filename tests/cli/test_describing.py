@@ -48,7 +48,7 @@ def test_robot_that_lacks_nothing(capsys):
     assert "Try: eos-pin track arm.urdf" in said
 
 
-def test_robot_without_inertia(capsys):
+def test_info_names_links_without_inertia(capsys):
     said, found = described(capsys, arm(inertial=""))
     assert list(found["cannot"]) == ["dynamics"]
     assert (found["m"], found["r"], len(found["singular_values"])) == (3, 2, 3)

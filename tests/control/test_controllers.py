@@ -195,7 +195,7 @@ def test_controller_without_gravity_compensation(panda):
     np.testing.assert_allclose(difference, panda.gravity(q), atol=1e-12)
 
 
-def test_controller_without_feedforward(panda):
+def test_controller_without_feedforward_ignores_rates_of_the_reference(panda):
     task = PositionTask(panda, tip(panda))
     q, dq = random_state(panda, seed=7)
     reference = figure_eight(task.value(q), 0.2)

@@ -64,7 +64,7 @@ def test_track_serves_robots_of_different_redundancy(state, ppr):
     assert objective.acceleration(0.0, np.zeros(3), np.zeros(3), planar).shape == (1,)
 
 
-def test_damp_and_posture(state):
+def test_damp_and_posture_accelerate_by_their_gains(state):
     chart, q, dq = state
     np.testing.assert_allclose(Damp(3.0).acceleration(0.0, q, dq, chart), -3.0 * chart.V.T @ dq, atol=EXACT)
     assert not Damp(0.0).acceleration(0.0, q, dq, chart).any()
@@ -88,7 +88,7 @@ def test_energy_gradients_are_those_of_the_kinetic_energy(request, name, data):
         np.testing.assert_allclose(found, expected, rtol=0.0, atol=10.0 * scale)
 
 
-def test_reduce_kinetic_energy(panda, state):
+def test_reduce_kinetic_energy_goes_down_its_gradient(panda, state):
     chart, q, dq = state
     for gradient, slope in (("velocity", panda.mass(q) @ dq), ("configuration", panda.energy_slope(q, dq))):
         found = ReduceKineticEnergy(panda, 2.0, gradient).acceleration(0.0, q, dq, chart)
@@ -112,7 +112,7 @@ def test_descend_potential_descends(panda):
     assert np.abs(run.error).max() < 1e-4
 
 
-def test_together_adds_up(panda, state):
+def test_sum_objective_adds_its_parts(panda, state):
     chart, q, dq = state
     parts = [Posture(q), Damp(1.0), Track(0.1 * np.ones(4)), Track()]
     expected = sum(part.acceleration(0.3, q, dq, chart) for part in parts)

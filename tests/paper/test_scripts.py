@@ -93,7 +93,7 @@ def test_bad_input_is_one_paragraph_and_2(name, words, reason, capsys):
 
 
 @pytest.mark.parametrize("name", [*QUICK, "reproduce"])
-def test_help_teaches(name, capsys):
+def test_help_gives_an_example(name, capsys):
     with pytest.raises(SystemExit) as ending:
         run(load(name).main, ["--help"])
     assert ending.value.code == 0

@@ -284,7 +284,7 @@ class TestKeyFrames:
         for point in ((y1, 0.0), (y1, y2), tip, (y1, y2 + 1.5)):
             assert min(math.dist(point, end) for end in ends) < 1e-8
 
-    def test_traces_and_obstacles(self, runs, ppr, tmp_path):
+    def test_key_frames_show_traces_and_obstacles(self, runs, ppr, tmp_path):
         figure = Figure()
         first, second = figure.add_subplot(121), figure.add_subplot(122)
         obstacles = [(0.0, 2.0, 0.2)]

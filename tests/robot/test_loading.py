@@ -75,7 +75,7 @@ def test_robots_that_do_not_load_say_why(name, reason, capfd):
         ("ppr", "ppr", 3),
     ],
 )
-def test_robots_by_name(given, name, n):
+def test_robots_load_by_name(given, name, n):
     robot = load_robot(given)
     assert (robot.source, robot.n) == (name, n)
     assert re.fullmatch("[0-9a-f]{64}", robot.urdf_sha256)
@@ -111,7 +111,7 @@ def test_frame_a_person_means(name, frame):
     assert load_robot(name, chain_to="auto").options["chain_to"] == frame
 
 
-def test_leaf_frames():
+def test_leaf_frames_end_every_branch():
     assert set(leaf_frames(load_robot("ppr"))) == {"tip", "rail_tip"}
     assert set(leaf_frames(load_robot("panda"))) == {"panda_leftfinger", "panda_rightfinger", "panda_hand_tcp"}
     assert default_frame(load_robot("panda")) == "panda_hand_tcp"
@@ -235,7 +235,7 @@ def test_chain_keeps_its_joints_and_carries_the_rest():
         load_robot("panda", chain_to="panda_link0")
 
 
-def test_mimic_joints():
+def test_mimic_joints_are_noted_only_where_they_are_left_out():
     assert any("mimic" in note for note in load_robot("panda").notes)
     assert load_robot("panda", chain_to="panda_hand").notes == ()
     assert load_robot("panda", chain_to="panda_rightfinger").joint_names[-1] == "panda_finger_joint1"
@@ -251,7 +251,7 @@ def test_mimic_joints():
         ({"panda_joint1": np.nan}, InputError, "finite"),
     ],
 )
-def test_wrong_locks(lock, error, message):
+def test_locks_that_do_not_fit_are_refused(lock, error, message):
     with pytest.raises(error, match=message):
         load_robot("panda", lock=lock)
 
@@ -290,7 +290,7 @@ def test_tool_in_any_form():
         load_robot("ppr", tool=Tool("tipp"))
 
 
-def test_wrong_payloads():
+def test_payloads_that_cannot_be_are_refused():
     with pytest.raises(InputError, match="mass"):
         Payload(-1.0, "tip")
     with pytest.raises(InputError, match="principal moment"):

@@ -75,7 +75,7 @@ def test_functions_of_a_posture_take_names(panda):
         np.testing.assert_array_equal(run.dq[0], np.eye(7)[0] * 0.1)
 
 
-def test_words_by_name():
+def test_words_are_read_by_name():
     assert by_name(["a=1", "b", "c=d=-2e-1"], "--lock") == {"a": 1.0, "b": None, "c=d": -0.2}
     with pytest.raises(InputError, match="--lock of joint 'a' must be a number, got 'x'"):
         by_name(["a=x"], "--lock")
@@ -165,7 +165,7 @@ def test_table_of_inverse_kinematics_names_joints(tmp_path, monkeypatch):
     assert Path("ik.csv").read_text().splitlines()[0] == ",".join(["t", *(f"panda_joint{i}" for i in range(1, 8))])
 
 
-def test_version_and_module(capsys):
+def test_version_is_printed_by_command_and_module(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"eos-pin {eos_pin.__version__}\n"
     said = subprocess.run([sys.executable, "-m", "eos_pin", "--version"], capture_output=True, text=True, check=True)

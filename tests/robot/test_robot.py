@@ -148,7 +148,7 @@ def test_gravity_is_part_of_the_options():
         robot.with_gravity([0.0, np.nan, 0.0])
 
 
-def test_frames_by_name():
+def test_frames_are_found_by_name():
     robot = load_robot("panda")
     assert robot.model.frames[robot.frame_id("panda_hand")].type == pin.FrameType.BODY
     with pytest.raises(UnknownNameError, match="Did you mean panda_hand") as caught:

@@ -97,7 +97,7 @@ def test_tasks(tree, make, monkeypatch):
     np.testing.assert_allclose(task.linearize(q)[1], checks.numeric_jacobian(task, q), atol=checks.DIFFERENCED)
 
 
-def test_thousand_joints():
+def test_workspace_of_a_thousand_joints_agrees_with_closed_form():
     """Against the closed form of a planar chain; Pinocchio's own workspace would take 32 GB."""
     robot = checks.long_chain(1000)
     n, link = robot.n, 2.0 / robot.n

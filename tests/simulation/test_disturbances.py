@@ -96,7 +96,7 @@ def test_dropout_is_a_probability_below_1(panda, dropout):
 # -- friction --------------------------------------------------------------------------------------------------------
 
 
-def test_law_of_friction():
+def test_friction_follows_its_law():
     law = Friction(viscous=[1.0, 0.0], coulomb=[0.0, 3.0], speed=0.05)
     np.testing.assert_allclose(law.torque(np.array([0.5, 0.5])), [-0.5, -3.0], rtol=1e-8)
     np.testing.assert_allclose(law.torque(np.array([0.5, 0.05])), [-0.5, -3.0 * np.tanh(1.0)])

@@ -546,7 +546,7 @@ def test_runs_keep_what_memory_holds(panda, monkeypatch):
         simulate(panda, OpenLoop(lambda t: np.zeros(7)), REST, duration=1.0)
 
 
-def test_robots_must_fit(panda, ppr):
+def test_simulation_refuses_a_plant_of_other_joints(panda, ppr):
     task, planar = PositionTask(panda, tip(panda)), PositionTask(ppr, "tip", "xy")
     controller = EosController(task, task.hold(REST))
     idle = OpenLoop(lambda t: np.zeros(3))

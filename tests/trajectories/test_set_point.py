@@ -109,7 +109,7 @@ def test_kinematic_loop_follows_a_set_point_without_a_step(panda):
         assert not loop.limited
 
 
-def test_set_point_refuses(panda, monkeypatch):
+def test_set_point_refuses_bounds_and_times_that_do_not_fit(panda, monkeypatch):
     task = PositionTask(panda, HAND)
     with pytest.raises(InputError, match="jerk bounds"):
         SetPoint(task, task.value(REST), velocity=1.0, acceleration=1.0, jerk=0.0)

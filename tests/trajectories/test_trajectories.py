@@ -129,7 +129,7 @@ def test_figure_eight_lies_in_its_plane_and_has_its_size():
         assert np.abs(z[:, 3 - a - b]).max() == 0.0
 
 
-def test_circle_and_line():
+def test_circle_and_line_go_where_they_are_drawn():
     round_trip = circle((1.0, 2.0, 3.0), 0.5, period=4.0, plane="zx")
     z = np.array([round_trip(t).z for t in np.linspace(0.0, 4.0, 9)])
     np.testing.assert_allclose(z[0], (1.0, 2.0, 3.0), atol=EXACT)
@@ -139,7 +139,7 @@ def test_circle_and_line():
 
 
 @pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if kind.period < math.inf])
-def test_periodic_ones_repeat(name):
+def test_trajectories_with_a_period_repeat(name):
     trajectory = KINDS[name]
     for t in np.linspace(5.0, 7.0, 9):
         for now, later in zip(trajectory(t), trajectory(t + 3 * trajectory.period), strict=True):
@@ -157,7 +157,7 @@ def test_those_of_finite_duration_rest_after_it(name):
         assert not ddz.any()
 
 
-def test_period_and_duration():
+def test_trajectories_know_their_period_and_duration():
     assert (Hold((1.0,)).period, Hold((1.0,)).duration) == (math.inf, 0.0)
     assert (KINDS["circle"].period, KINDS["circle"].duration) == (2.0, math.inf)
     assert (KINDS["minimum jerk"].period, KINDS["minimum jerk"].duration) == (math.inf, 4.0)
@@ -274,7 +274,7 @@ def test_geodesic_refuses_what_is_not_a_point_of_its_task(panda):
 # -- files ---------------------------------------------------------------------------------------------------------
 
 
-def test_spline_from_csv(tmp_path):
+def test_spline_from_csv_is_that_of_its_rows(tmp_path):
     rows = "\n".join(f"{t},{','.join(map(repr, p.tolist()))}" for t, p in zip(TIMES, POINTS, strict=True))
     for text in (rows, f"t,x,y,z\n{rows}\n", f"\ufefft,x,y,z\r\n\r\n{rows}\r\n\r\n"):
         path = tmp_path / "path.csv"
