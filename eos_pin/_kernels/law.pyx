@@ -205,7 +205,7 @@ cdef class TrackingLaw(AccelerationMap):
     """`plain_law.TrackingLaw`; Eqs. (36), (45).
 
     Args:
-        Vt, Qt, most, fast, runaway, braking: As for `AccelerationMap`.
+        of_map: The arguments of the `AccelerationMap`.
         kp, kd: Gains of the task, (m,).
         kp_v, kd_v: Gains of the self-motion, (r,).
         v: Where Vᵀ q should be, (r,).
@@ -221,9 +221,9 @@ cdef class TrackingLaw(AccelerationMap):
     cdef object task_at, minus
     cdef Frame frame
 
-    def __init__(self, Vt, Qt, most, fast, runaway, braking, kp, kd, kp_v, kd_v, v, at, minus):
-        super().__init__(Vt, Qt, most, fast, runaway, braking)
-        self.made_from += kp, kd, kp_v, kd_v, v, at, minus
+    def __init__(self, of_map, kp, kd, kp_v, kd_v, v, at, minus):
+        super().__init__(*of_map)
+        self.made_from = of_map, kp, kd, kp_v, kd_v, v, at, minus
         self.task_at, self.minus, self.frame = at, minus, at if isinstance(at, Frame) else None
         vectors = tuple(np.array(given, dtype=float) for given in (kp, kd, kp_v, kd_v, v))
         self.kept += vectors

@@ -169,7 +169,7 @@ class TrackingLaw(AccelerationMap):
     """Joint accelerations of a law for task and self-motion; Eqs. (36), (45).
 
     Args:
-        Vt, Qt, most, fast, runaway, braking: As for `AccelerationMap`.
+        of_map: The arguments of the `AccelerationMap`.
         kp: Gain on the task error, (m,).
         kd: Gain on the task's velocity error, (m,).
         kp_v: Gain on v, (r,).
@@ -181,12 +181,7 @@ class TrackingLaw(AccelerationMap):
 
     def __init__(
         self,
-        Vt: Float[Array, "r n"],
-        Qt: Float[Array, "m n"],
-        most: float,
-        fast: float,
-        runaway: float,
-        braking: float,
+        of_map: tuple[Array, Array, float, float, float, float],
         kp: TaskVector,
         kd: TaskVector,
         kp_v: SelfMotionVector,
@@ -195,8 +190,8 @@ class TrackingLaw(AccelerationMap):
         at: Any,
         minus: Callable[[Array, Array], Array] | None,
     ) -> None:
-        super().__init__(Vt, Qt, most, fast, runaway, braking)
-        self._made_from += kp, kd, kp_v, kd_v, v, at, minus
+        super().__init__(*of_map)
+        self._made_from = of_map, kp, kd, kp_v, kd_v, v, at, minus
         self._look, self._minus = at.look if isinstance(at, Frame) else None, minus
         # A compiled frame is no function, but has one.
         self._at = at if callable(at) else at.at

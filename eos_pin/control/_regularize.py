@@ -128,7 +128,7 @@ class AccelerationMap:
             return None
         at, minus = task.kernel or task._at, None if task.is_vector else task._minus
         held = v_d + self.chart.basis.project(self.chart.q_bar) - self.chart.v_bar
-        return LawKernel(*self._made_from, kp, kd, kp_v, kd_v, held, at, minus)
+        return LawKernel(self._made_from, kp, kd, kp_v, kd_v, held, at, minus)
 
     def margin(self, J: Jacobian, enough: float) -> float:
         """`Chart.margin`, or a lower bound of it that exceeds `enough`."""
