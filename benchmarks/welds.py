@@ -1,4 +1,4 @@
-"""Weld-like curves, planned and driven: `python benchmarks/welds.py plans|roll [--write] …`; each has `--help`.
+"""Weld-like curves: `python benchmarks/welds.py plans|roll|descartes [--write] …`; each has `--help`.
 
 Ten seeded closed curves of 600 points on curved surfaces, the tool along the normal, on arms of six and seven joints.
 
@@ -7,6 +7,8 @@ Ten seeded closed curves of 600 points on curved surfaces, the tool along the no
   the joints at the way points, by Pinocchio alone.
 * `roll`: the plans with the roll free under EOS torque control, from the plan and from 0.05 rad beside it along the
   self-motion: whether the task is followed, the roll obeys the law that it was given, and the joints repeat.
+* `descartes`: the same curves by Descartes, a ladder graph of sampled rolls, with an interpreter that has
+  tesseract-robotics.
 
 `--write` puts the tables into docs/planning.md.
 """
@@ -16,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -39,6 +42,7 @@ from eos_pin import (
     simulate,
 )
 from eos_pin.errors import EosError
+from eos_pin.robot.library import find_robot
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
 
@@ -55,6 +59,8 @@ CONE = float(np.radians(15.0))
 ACCEPTED = 1e-8
 #: Start beside the plan [rad], rounds, and gains of the roll's law.
 BESIDE, ROUNDS, KP, KD = 0.05, 2, 100.0, 20.0
+#: A step of a joint beyond this is a jump [rad].
+JUMP = 0.5
 DOCUMENT = Path(__file__).parent.parent / "docs" / "planning.md"
 
 
@@ -165,13 +171,7 @@ def plans(options: argparse.Namespace) -> int:
     ]
     for name, mode in dict.fromkeys((row["robot"], row["mode"]) for row in rows):
         mine = [row for row in rows if (row["robot"], row["mode"]) == (name, mode)]
-        good = [row for row in mine if row["planned"]]
-        times = [row["seconds"] for row in mine]
-        motion = f"{np.median([row['motion'] for row in good]):.2f}" if good else ""
-        lines.append(
-            f"| {name} | {MODES[mode]} | {len(good)} of {len(mine)} | {sum(row['jumps'] for row in good)} | {motion} "
-            f"| {np.median(times):.2f} | {max(times):.2f} |"
-        )
+        lines.append(f"| {name} | {MODES[mode]} | {summed(mine)}")
     shown("plans", lines, options.write)
     return 0 if all(row.get("accepted", True) for row in rows) else 1
 
@@ -228,6 +228,55 @@ def roll(options: argparse.Namespace) -> int:
     return 0 if all(row["rounds"] == ROUNDS and row["task_error"] <= 1e-6 for row in rows) else 1
 
 
+def peer(options: argparse.Namespace) -> int:
+    """The same curves by Descartes, on UR5, and by `plan`."""
+    robot = arm("ur5")
+    curves = [weld(seed, REACH * robot.reach, options.points) for seed in range(options.count)]
+    torch = (
+        f'<link name="torch"/><joint name="tip" type="fixed"><parent link="{ARMS["ur5"]}"/><child link="torch"/>'
+        f'<origin xyz="{" ".join(map(str, TIP))}" rpy="0 {BENT} 0"/></joint></robot>'
+    )
+    named = find_robot("ur5")
+    assert named is not None
+    given = {
+        "urdf": named.path.read_text().replace("</robot>", torch), "step": np.radians(options.step),
+        "curves": [way_points("fixed", *curve).tolist() for curve in curves],
+    }  # fmt: skip
+    worker = Path(__file__).parent / "peers_workers" / "welds_descartes.py"
+    done = subprocess.run(
+        [options.python, str(worker)], input=json.dumps(given), capture_output=True, text=True, check=True
+    )
+    rows = []
+    for seed, line in enumerate(line for line in done.stdout.splitlines() if line.startswith("{")):
+        found = json.loads(line)
+        row = {"robot": "ur5", "mode": "Descartes", "seed": seed, "seconds": found["seconds"], "planned": "q" in found}
+        if row["planned"]:
+            q = np.array(found["q"])
+            step = np.abs(np.diff(q, axis=0)).max(axis=1)
+            motion = np.linalg.norm(np.diff(q, axis=0), axis=1)
+            row |= {"jumps": int((step > JUMP).sum()), "motion": float(motion[step <= JUMP].sum())}
+            row |= checked("free", robot, way_points("free", *curves[seed]), q)
+        rows += [row, planned("free", robot, seed, options.points)]
+        print(json.dumps(rows[-2:]), flush=True)
+    lines = [
+        "| planner | planned | jumps | joint motion [rad] | CPU time [s] | longest [s] |",
+        "|---|---|---|---|---|---|",
+    ]
+    for mode, words in (("Descartes", f"Descartes, roll in steps of {options.step:g}°"), ("free", "`plan`")):
+        lines.append(f"| {words} | " + summed([row for row in rows if row["mode"] == mode]))
+    shown("descartes", lines, options.write)
+    return 0
+
+
+def summed(rows: list[dict[str, Any]]) -> str:
+    """Cells of a table: how many are planned, jumps, the median of motion, median and longest time."""
+    good = [row for row in rows if row["planned"]]
+    motion = f"{np.median([row['motion'] for row in good]):.2f}" if good else ""
+    times = [row["seconds"] for row in rows]
+    jumps = sum(row["jumps"] for row in good)
+    return f"{len(good)} of {len(rows)} | {jumps} | {motion} | {np.median(times):.2f} | {max(times):.2f} |"
+
+
 def shown(name: str, lines: list[str], write: bool) -> None:
     """Print a table, and put it into the document between its marks."""
     print("\n".join(lines))
@@ -247,7 +296,10 @@ def main() -> int:
     one.add_argument("--modes", default=",".join(MODES))
     two = commands.add_parser("roll")
     two.add_argument("--robots", default="ur5")
-    for command, function in ((one, plans), (two, roll)):
+    three = commands.add_parser("descartes")
+    three.add_argument("python", help="an interpreter that has tesseract-robotics")
+    three.add_argument("--step", type=float, default=10.0, help="steps of the roll [degrees]")
+    for command, function in ((one, plans), (two, roll), (three, peer)):
         command.add_argument("--count", type=int, default=10)
         command.add_argument("--points", type=int, default=600)
         command.add_argument("--json", type=Path)
