@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import nnls
 
 from eos_pin._arrays import Array, JointVector, SelfMotionVector, VectorLike, checked, gains, number
 from eos_pin.charts.chart import Chart
@@ -20,8 +21,8 @@ from eos_pin.trajectories.base import Target, Trajectory
 STEP = 1e-3
 #: Self-motion over which slopes are differenced [rad or m].
 SMALL = 1e-5
-#: Rounds in which the bands share the change that they need, and the slope² below which a band cannot be moved.
-ROUNDS, FLAT = 60, 1e-9
+#: Root of the inverse price of what a band lacks.
+SLACK = 1e-4
 #: Part of a band that is left alone, so that what is neglected does not leave it.
 ROOM = 1e-3
 
@@ -102,14 +103,14 @@ class KeepTolerance(Objective):
 
 
 def _smallest(rows: Float[Array, "B r"], most: Float[Array, " B"]) -> SelfMotionVector:
-    """The shortest x with rows · x ≤ most, by Hildreth's method: each row in turn takes what it needs and no more."""
-    x, shares = np.zeros(rows.shape[1]), np.zeros(len(rows))
+    """The shortest x with rows · x ≤ most, by Lawson and Hanson's least distance programming.
+
+    Where bands exclude each other, or cannot be moved, what is lacking has the price 1 / SLACK².
+    """
+    bands, r = rows.shape
     if (most >= 0.0).all():
-        return x
-    squares = np.einsum("br,br->b", rows, rows)
-    for _ in range(ROUNDS):
-        for i in np.flatnonzero(squares > FLAT).tolist():
-            share = max(0.0, shares[i] + (rows[i].dot(x) - most[i]) / squares[i])
-            x -= (share - shares[i]) * rows[i]
-            shares[i] = share
-    return x
+        return np.zeros(r)
+    E = np.vstack((-rows.T, SLACK * np.eye(bands), -most))
+    f = np.append(np.zeros(r + bands), 1.0)
+    residual = E.dot(nnls(E, f)[0]) - f
+    return -residual[:r] / residual[-1]

@@ -178,3 +178,17 @@ def test_control_keeps_a_tolerance_that_its_law_would_leave(torch):
         used[name] = np.linalg.norm(task.used(whole.kinematics.value(run.q), points), axis=2).max()
     assert used["held"] > 1.5
     assert 0.9 < used["kept"] <= 1.0
+
+
+def test_smallest_change_within_bands_is_that_of_a_general_solver():
+    from scipy.optimize import minimize
+
+    from eos_pin.control.tolerance import _smallest
+
+    random = np.random.default_rng(5)
+    for _ in range(10):
+        rows, most = random.normal(size=(2, 3)), random.normal(size=2)
+        found = _smallest(rows, most)
+        kept = {"type": "ineq", "fun": lambda x, rows=rows, most=most: most - rows @ x}
+        expected = minimize(lambda x: 0.5 * x @ x, np.zeros(3), jac=lambda x: x, constraints=[kept]).x
+        np.testing.assert_allclose(found, expected, atol=1e-5)
