@@ -27,6 +27,7 @@ from scipy.spatial import cKDTree
 
 from eos_pin import HeadingTask, PoseTask, PositionTask, load_robot
 from eos_pin.errors import EosError
+from eos_pin.experiments.defaults import rest_posture
 from eos_pin.planning.manifolds.manifold import self_motion_manifold
 from eos_pin.planning.planner import plan
 from eos_pin.planning.report import switches
@@ -189,12 +190,12 @@ def recorded(options: argparse.Namespace) -> tuple[Robot, np.ndarray, list[pin.S
     return robot, rows[:, 0], points
 
 
-def evidence(options: argparse.Namespace) -> int:
-    """Whether joints can follow a path with one jump: how far from its start, and from where to its end, without any.
+def without_jumps(options: argparse.Namespace) -> dict[str, float]:
+    """How far joints can follow a path without a jump from its start, and from where on to its end.
 
     At each way point all arcs of the self-motion manifold within limits are nodes at even distances. A step leads from
     node to node where each joint keeps its velocity limit, widened by the distance of nodes, so that whatever the robot
-    can do is among what is found. With one jump the way from the start has to reach where the way to the end begins.
+    can do is among what is found.
     """
     robot, times, points = recorded(options)
     task = PoseTask(robot, "panda_hand")
@@ -220,13 +221,23 @@ def evidence(options: argparse.Namespace) -> int:
 
     last = end(nodes, longest)
     first = len(points) - 1 - end(nodes[::-1], longest[::-1])
-    verdict = "one jump may do" if last + 1 >= first else "one jump cannot do"
-    print(
-        f"from the start joints go without a jump to way point {last} at most, to the end from way point {first} at "
-        f"the earliest: {verdict} (up to {max(map(len, nodes))} nodes, {options.spacing:g} rad apart)"
+    return {"last": last, "first": first, "spacing": options.spacing, "nodes": max(map(len, nodes))}
+
+
+def evidence(options: argparse.Namespace) -> int:
+    """Whether one jump can do: the way from the start then reaches where the way to the end begins."""
+    kept: Path | None = options.json
+    met = json.loads(kept.read_text()) if kept is not None and kept.exists() else without_jumps(options)
+    verdict = "one jump may do" if met["last"] + 1 >= met["first"] else "one jump cannot do"
+    words = (
+        f"from the start joints go without a jump to way point {met['last']} at most, to the end from way point "
+        f"{met['first']} at the earliest: {verdict} (nodes {met['spacing']:g} rad apart)"
     )
-    if options.json:
-        options.json.write_text(json.dumps({"last": last, "first": first, "spacing": options.spacing}) + "\n")
+    print(words)
+    if kept is not None:
+        kept.write_text(json.dumps(met) + "\n")
+    if options.write:
+        marked.fill(marked.PLANNING, "evidence", words)
     return 0
 
 
@@ -251,22 +262,23 @@ def iklink(options: argparse.Namespace) -> int:
 
 
 def convergence(options: argparse.Namespace) -> int:
-    """Cost of plans against the number of way points, all of them on the loops of `loops`."""
+    """Cost of plans of circles against the number of their way points."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.0, 3.6), layout="constrained")
     axes, worst, lines = figure.subplots(), 0.0, []
     counts = [20 * 2**k for k in range(options.levels)]
-    for name, pose in (("panda", False), ("panda", True), ("xarm7", True), ("baxter", True)):
+    for name, pose, radius in (("panda", 0, 0.3), ("panda", 1, 0.15), ("xarm7", 1, 0.1), ("baxter", 1, 0.1)):
         robot = load_robot(name, chain_to=ARMS[name] or "auto")
         frame = robot.options["chain_to"]
         task: Task = PoseTask(robot, frame) if pose else PositionTask(robot, frame)
-        own = random_loop(robot, np.random.default_rng(options.seed), counts[-1])
+        z = task.value(rest_posture(PoseTask(robot, frame)))
         costs = []
         for count in counts:
-            points = np.array([task.value(q) for q in own[:: counts[-1] // count]])
-            points = np.concatenate((points, points[:1]))
-            found = plan(task, points, times=np.linspace(0.0, 1.0, count + 1), closed=True, keep_time=False)
+            s = np.linspace(0.0, 2.0 * np.pi, count + 1)
+            points = np.repeat(z[None], count + 1, axis=0)
+            points[:, :2] += radius * np.column_stack((np.cos(s) - 1.0, np.sin(s)))
+            found = plan(task, points, times=s / (2.0 * np.pi), closed=True, keep_time=False)
             costs.append(integral(found, found.end - found.start))
         label = f"{name}, {'pose' if pose else 'position'}"
         lines.append([label, *(f"{cost:.6g}" for cost in costs)])
@@ -274,7 +286,7 @@ def convergence(options: argparse.Namespace) -> int:
         off = np.abs(np.array(costs[:-1]) / costs[-1] - 1.0)
         worst = max(worst, float(off[-1]))
         axes.loglog(counts[:-1], off, "o-", label=label)
-    axes.set(xlabel="way points", ylabel=f"cost, relative to that of {counts[-1]} way points, less 1")
+    axes.set(xlabel="way points", ylabel=f"relative difference from {counts[-1]} way points")
     axes.legend(frameon=False)
     if options.plot:
         figure.savefig(options.plot)
@@ -308,6 +320,7 @@ def main() -> int:
     five.add_argument("urdf", type=Path)
     five.add_argument("--spacing", type=float, default=0.01)
     five.add_argument("--starts", type=int, default=40)
+    five.add_argument("--write", action="store_true", help="write the verdict into docs/planning.md")
     for command, function in ((one, loops), (two, fourr), (three, iklink), (four, convergence), (five, evidence)):
         command.add_argument("--seed", type=int, default=0)
         command.add_argument("--json", type=Path)

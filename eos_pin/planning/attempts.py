@@ -15,7 +15,7 @@ from eos_pin.planning.advice import Change, Deadline, advice, changes_for, compo
 from eos_pin.planning.courses import Mended, broken_at, mended, prolonged
 from eos_pin.planning.grid import Grid
 from eos_pin.planning.problem import Problem, told
-from eos_pin.planning.refine import ROUNDS, Course, refine, without_bounds
+from eos_pin.planning.refine import ROUNDS, STEPS, Course, refine, without_bounds
 from eos_pin.planning.search import Failure, Layers, Ticked
 from eos_pin.planning.whole import WholeLayers
 from eos_pin.trajectories.through import sampled
@@ -249,8 +249,8 @@ class Search:
             q = result.q
         # Refined joints may jump where those before did not: from branch to branch, close to a singularity.
         row: int | None = 0
-        for rounds in (ROUNDS, ROUGH, ()):
-            refined = refine(course, q, rounds=rounds)
+        for rounds, steps in ((ROUNDS, STEPS), (ROUGH, STEPS), (ROUGH, 6), (ROUGH, 2), ((), 0)):
+            refined = refine(course, q, rounds=rounds, steps=steps)
             row = broken_at(self.problem.manifold, self.grid, refined)
             if row is None:
                 return refined
