@@ -216,9 +216,9 @@ def make_task(
     """
     if kind not in TASK_KINDS:
         raise InputError(f"the kind of a task is one of {', '.join(TASK_KINDS)}; got {kind!r}")
-    if tool_axis != "z" and kind not in ("axis", "point-axis"):
+    if tool_axis != "z" and kind not in ("axis", "point-axis", "look-at"):
         raise InputError(
-            f"a tool axis, {tool_axis!r}, does not apply to a task of {kind}: it belongs to axis and point-axis"
+            f"a tool axis, {tool_axis!r}, does not apply to a task of {kind}: it belongs to axis, point-axis, look-at"
         )
     frame = frame or default_frame(robot)
     if (point is None) != (kind not in ("look-at", "distance")):

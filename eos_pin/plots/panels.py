@@ -359,7 +359,7 @@ def _projection(
     if joints is not None:
         numbers = vector(joints, size, f"joints, of which these axes show {size},")
         if not np.isin(numbers, np.arange(-n, n)).all():
-            raise InputError(f"joints are some of 0 to {n - 1}, got {numbers.tolist()}")
+            raise InputError(f"these axes show {size} of the joints 0 to {n - 1}, got {numbers.tolist()}")
         joints = numbers.astype(int).tolist()
         return q[:, list(joints)], [f"$q_{{{i % n + 1}}}$ {units[i]}" for i in joints]
     if n < size:

@@ -79,9 +79,9 @@ def test_task_hold_fits_every_task(panda):
         EosController(task, task.hold(Q))
 
 
-def test_holds_compare_without_an_error():
-    assert Hold([1.0, 2.0]) != Hold([1.0, 2.0])
-    assert len({Hold([1.0, 2.0]), Hold([1.0, 2.0])}) == 2
+def test_holds_are_equal_where_their_points_are():
+    assert Hold([1.0, 2.0]) == Hold([1.0, 2.0])
+    assert len({Hold([1.0, 2.0]), Hold([1.0, 2.0]), Hold([1.0, 3.0])}) == 2
 
 
 @given(t=st.floats(0.0, 8.0))
