@@ -56,7 +56,6 @@ REFUSED = [
     ("track ur5 --command position --rtol 1e-6", "--rtol 1e-06 does not apply: positions"),
     ("track ur5 --command position --plant mujoco", "--plant mujoco does not apply: positions"),
     ("track ur5 --acceleration 3", "--acceleration 3.0 does not apply: torques are commanded"),
-    ("rehearse ur5 --command position", "--command position is for `eos-pin track` only"),
     ("track panda --seed 3", "--seed 3 does not apply: nothing is random"),
     ("compare panda --control-rate 500 --seed 3", "--seed 3 does not apply"),
     ("track panda --task pose --axes xy", "axes 'xy' do not apply to a task of pose"),
