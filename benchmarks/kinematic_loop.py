@@ -5,7 +5,7 @@
     python benchmarks/kinematic_loop.py orders --runs 100   a moved reference within its bounds, ten orders a run
     python benchmarks/kinematic_loop.py stops --runs 200    stops on the path at random instants
     python benchmarks/kinematic_loop.py peers               steps and joints after each round, in one run
-    python benchmarks/kinematic_loop.py planned             the same on large circles, on planned joints
+    python benchmarks/kinematic_loop.py planned             the same on circles, on planned joints
 
 Results are printed and written as JSON (--out). The peers' environments come from `benchmarks/peers.py setup`.
 """
@@ -21,6 +21,7 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
+from marked import HOME, fill, table
 from peers import PEERS, WORKERS, installed
 from setting import Setting
 
@@ -45,6 +46,7 @@ from eos_pin.tasks.base import Point, Task
 ROBOTS = ("ur5", "xarm7", "kinova")
 #: Time after which an error at the start has decayed to rounding with the usual gains [s].
 SETTLED = 4.0
+COLUMNS = "robot, library", "step [µs]", "task error [m]", "joint drift, round by round [rad]"
 
 
 def tracking() -> dict[str, Any]:
@@ -158,7 +160,7 @@ def stops(runs: int) -> dict[str, Any]:
 
 
 def planned() -> dict[str, Any]:
-    """`peers` on circles too large for one chart; the loop follows closed plans, where all begin."""
+    """`peers` on circles; the loop follows closed plans, where all begin."""
     return peers(period=0.004, radius=0.25)
 
 
@@ -230,6 +232,7 @@ def main(
     what: tyro.conf.Positional[Literal["tracking", "limits", "orders", "stops", "peers", "planned"]],
     runs: int = 100,
     out: Path | None = None,
+    write: bool = False,
 ) -> None:
     """Measure one thing.
 
@@ -237,6 +240,7 @@ def main(
         what: What to measure.
         runs: Number of random runs.
         out: File for the results.
+        write: Write the table of `peers` or `planned` into docs/commands.md.
     """
     if what in ("tracking", "peers", "planned"):
         found = {"tracking": tracking, "peers": peers, "planned": planned}[what]()
@@ -246,6 +250,17 @@ def main(
         print(name, value)
     if out is not None:
         out.write_text(json.dumps(found, indent=1) + "\n")
+    if write and what in ("peers", "planned"):
+        fill(HOME / "docs" / "commands.md", f"kinematic_loop.py {what}", table(COLUMNS, map(_row, found.items())))
+
+
+def _row(found: tuple[str, dict[str, Any]]) -> tuple[str, ...]:
+    """A line of the table."""
+    name, said = found
+    if "trouble" in said:
+        return name, said["trouble"], "", ""
+    drift = ", ".join(f"{value:.2g}" for value in said["drift_per_round"])
+    return name, f"{said['step_us']:.3g}", f"{said['task_error']:.1e}", drift
 
 
 if __name__ == "__main__":

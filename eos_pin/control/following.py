@@ -31,6 +31,8 @@ from eos_pin.trajectories.pace import Clock, PacedJoints, PacedPath
 
 #: From so near joints are followed: from 24 random postures up to 0.8 rad away the law has always led back [rad or m].
 WITHIN = 0.5
+#: Largest difference of two times that are the same [s].
+SAME_TIME = 1e-12
 
 
 class FollowJoints(Objective):
@@ -67,7 +69,7 @@ class FollowJoints(Objective):
     def at(self, t: float) -> tuple[JointVector, JointVector, JointVector]:
         """Joints, velocities and accelerations at time t; that of the last call is kept."""
         last = self._last
-        if last is None or last[0] != t:
+        if last is None or not abs(last[0] - t) <= SAME_TIME:
             last = self._last = t, self._asked(t)
         return last[1]
 
@@ -83,7 +85,7 @@ class FollowJoints(Objective):
         return chart._dv(ddq_d + self.kd * (dq_d - dq) + self.kp * chart.task.robot._way(q, q_d))
 
     def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
-        (now, velocity, _), (ahead, _, _) = self._at(t), self._asked(t + step)
+        (now, velocity, _), (ahead, _, _) = self._at(t), self._at(t + step)
         factors = decay(self.kp, self.kd, period)
         return SelfTargets(self.joints, period, now, ahead, now - step * velocity, factors, joints=True)
 

@@ -96,7 +96,8 @@ def plot_key_frames(
             }
             ax.plot(*line[1:].T, color=color, linestyle="", **dot)
     axes = result.axes
-    if result.frame and not result.seen_from and all("xyz"[i] in axes for i in columns):
+    known = bool(result.frame and not result.seen_from and np.isfinite(result.z_ref).any())
+    if known and all("xyz"[i] in axes for i in columns):
         rows = [axes.index("xyz"[i]) for i in columns]
         ax.plot(*result.z_ref[:, rows].T, color=REFERENCE, linewidth=2.5, zorder=1, label="reference")
     between = joints_at(result, np.linspace(times[0], times[-1], 300))

@@ -99,7 +99,11 @@ def overview(result: Result, robot: Robot | None = None) -> Figure:
         plot_charts(ax, result)
     else:
         plot_drift(ax, result, robot)
-    plot_errors(add_axes(figure, grid[2, 1]), result)
+    ax = add_axes(figure, grid[2, 1])
+    if np.isfinite(result.error).any() or np.isfinite(result.self_motion_error).any():
+        plot_errors(ax, result)
+    else:
+        plot_drift(ax, result, robot)
     known = bool(np.isfinite(result.tau).any())
     (plot_torques if known else plot_velocities)(add_axes(figure, grid[3, 0]), result, robot)
     plot_kinetic_energy(add_axes(figure, grid[3, 1]), result)

@@ -66,7 +66,8 @@ def plot_path(ax: Axes, result: Result) -> None:
         name_time(ax, result)
         return _set_ylabel(ax, result.labels[0] if len(result.labels) == 1 else "task point", result.units)
     columns = largest(_seen_path(result), 3 if is_solid(ax) else 2)
-    ax.plot(*result.z_ref[:, columns].T, color=REFERENCE, linewidth=2.5, label="reference")
+    if np.isfinite(result.z_ref).any():
+        ax.plot(*result.z_ref[:, columns].T, color=REFERENCE, linewidth=2.5, label="reference")
     ax.plot(*result.z[:, columns].T, color=ACTUAL, label="actual")
     ax.plot(*result.z[:1, columns].T, "o", color=ACTUAL, markerfacecolor="white", markersize=4, label="start")
     name_axes(ax, [f"{names[i]} [m]" for i in columns], equal=True)

@@ -313,7 +313,7 @@ def joint_run(
     if moving:
         rows = list(zip(q, speeds, strict=True))
         dz = np.array([task._at(*row).dz for row in rows]).reshape(error.shape)
-        # Nobody knows the torques.
+        # Nobody knows the torques, nor their work.
         energy = (
             np.full(len(t), math.nan) if robot.lacks_dynamics else np.array([robot._kinetic_energy(*x) for x in rows])
         )
@@ -321,7 +321,7 @@ def joint_run(
         "ddq": still, "tau": np.full_like(still, math.nan) if moving else still, "task_force": none,
         "task_deficit": none, "deficit_from_limits": none, "dv": 0.0 * v,
         "v_ref": np.full_like(v, np.nan), "switches": t[1:][np.diff(chart) != 0], "kinetic_energy": energy,
-        "work": rest,
+        "work": np.full(len(t), math.nan) if moving else rest,
     }  # fmt: skip
     return Result(
         t=t, q=q, dq=speeds, z=reached, dz=dz, z_ref=z, error=error, v=v, chart=chart, period=period,

@@ -75,6 +75,9 @@ def test_samples_are_what_a_servo_does(ran):
     rows = np.round(periods[periods < 500.5]).astype(int)
     np.testing.assert_allclose(run.q[: len(rows)], np.array(found)[rows], atol=1e-12)
     assert np.isnan(run.tau).all()
+    residuals = run.residuals(loop.robot)
+    assert residuals["task"] < 1e-12
+    assert np.isnan([residuals["torque"], residuals["power"]]).all()
     energy = [loop.robot.kinetic_energy(*row) for row in zip(run.q, run.dq, strict=True)]
     np.testing.assert_allclose(run.kinetic_energy, energy, atol=1e-12)
     np.testing.assert_allclose(run.dz, [loop.task.at(*row).dz for row in zip(run.q, run.dq, strict=True)], atol=1e-12)
