@@ -12,6 +12,7 @@ from checks import EXACT, every_task
 from eos_pin import EosError, InputError, PoseTask, PositionTask, Robot
 from eos_pin._kernels.dispatch import kernels
 from eos_pin._kernels.flat import flat_model
+from eos_pin._kernels.plain import PlainChain
 
 ROBOTS = ("panda", "kinova", "ur5", "ppr", "chain")
 
@@ -99,7 +100,7 @@ def test_projection_finds_what_the_plain_search_finds(any_robot):
         starts = states(any_robot, 30, seed=1)
         lower, upper = np.full((2, any_robot.n), [[-3.0], [3.0]])
         found = task.kinematics.project(starts, Z, lower=lower, upper=upper)
-        q, _, steps = task.kinematics._plain.search(starts, Z, lower, upper, 1e-10, 60, False)
+        q, _, steps = PlainChain(task, any_robot.n).search(starts, Z, lower, upper, 1e-10, 60, False)
         assert found.found.any()
         # A search that wanders takes many steps, and rounding is then enough to lead it elsewhere.
         short = found.found & (steps < 15)
