@@ -43,8 +43,9 @@ MODEST = 0.1
 #: the sooner help ends, and the steeper torques are. And parts of its torque limit that it lacks by which it brakes
 #: with all it has.
 FADE, SHARP = 1.0, 1.0
-#: Room for rounding in a bound that is settled [rad/s² or m/s²], and how exactly daqp keeps it.
-HAIR, EXACT = 1e-8, 1e-12
+#: Room for rounding in a bound that is settled [rad/s² or m/s²], more of it where that does not do, and how exactly
+#: daqp keeps it.
+HAIR, WIDER, EXACT = 1e-8, (1e-6, 1e-4), 1e-12
 #: How daqp is told that a limit may be passed at a price, and how close to zero is zero for the task [m/s² or rad/s²].
 HARD, SOFT, ZERO = 0, 8, 1e-9
 #: Torques and accelerations beyond this count as no limit.
@@ -163,11 +164,14 @@ class SmallestChange:
         part = 1.0 - (1.0 - MODEST) * np.abs(push * inertia).max() / BRAKING_PRICE
         per_weight, prices = self._per_weight / part, self._prices * part
         self._last.soft_weights(per_weight, per_weight, prices, prices)
-        self._last.update(f=-M.dot(push), A=self._rows, bupper=self._upper, blower=self._lower, sense=self._settled)
-        found, _, flag, info = self._last.solve()
-        if not (flag > 0 and math.isfinite(found.dot(found))):
-            return change
-        return self._on_bounds(found, info["lam"][: 2 * n], below, above)
+        for hair in (0.0, *WIDER):
+            # Bounds that leave a single point may cross by rounding; the change before knows nothing of the task.
+            self._lower[:n], self._upper[:n] = below[:n] - hair, above[:n] + hair
+            self._last.update(f=-M.dot(push), A=self._rows, bupper=self._upper, blower=self._lower, sense=self._settled)
+            found, _, flag, info = self._last.solve()
+            if flag > 0 and math.isfinite(found.dot(found)):
+                return self._on_bounds(found, info["lam"][: 2 * n], self._lower[: 2 * n], self._upper[: 2 * n])
+        return change
 
     def _on_bounds(self, found: JointVector, lam: Vector, below: Vector, above: Vector) -> JointVector:
         """The same change with less rounding: exactly on the bounds that are active."""

@@ -141,7 +141,7 @@ class Wrong(Objective):
         (Posture([0.0]), "the posture has 1 joints, the robot 7"),
         (DescendPotential(lambda q: q[:4]), "does not fit this robot and task"),
         (SumObjective([Damp(), Track([0.0])]), "v_d must be 4 numbers"),
-        (Wrong(), "what Wrong asks of the self-motion must be 4 numbers"),
+        (Wrong(), "the result of Wrong.acceleration must be 4 numbers"),
     ],
 )
 def test_objective_is_checked_at_start(panda, unchecked, objective, message):

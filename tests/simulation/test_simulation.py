@@ -13,6 +13,7 @@ from eos_pin import (
     Controller,
     ControlLoop,
     EosController,
+    FunctionError,
     Geodesic,
     Hold,
     InputError,
@@ -473,8 +474,9 @@ def test_other_errors_of_a_users_code_are_not_swallowed(panda):
         raise ZeroDivisionError
 
     for drive in (simulate, simulate_sampled):
-        with pytest.raises(ZeroDivisionError):
+        with pytest.raises(FunctionError, match="tau of an OpenLoop raised ZeroDivisionError") as caught:
             drive(panda, OpenLoop(torque), REST, duration=1.0)
+        assert isinstance(caught.value.__cause__, ZeroDivisionError)
 
 
 @pytest.mark.parametrize("drive", [simulate, simulate_sampled])
