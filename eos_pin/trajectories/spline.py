@@ -322,7 +322,8 @@ def unrolled(rotations: Float[Array, "K 9"]) -> Float[Array, "K 4"]:
     """Quaternions (x, y, z, w) of rotation matrices; of q and −q, the same rotation, the one nearer to that before."""
     from scipy.spatial.transform import Rotation
 
-    quaternions = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat()
+    # SciPy 1.13 takes no arrays that are read-only.
+    quaternions = Rotation.from_matrix(np.reshape(rotations, (-1, 3, 3)).copy()).as_quat()
     flips = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
     quaternions[1:] *= np.cumprod(flips)[:, None]
     return quaternions
