@@ -26,6 +26,7 @@ from eos_pin.cli.output import (
 )
 from eos_pin.errors import InputError, PlanError
 from eos_pin.experiments.options import RobotOptions, TaskOptions
+from eos_pin.trajectories.corners import Corners
 
 if TYPE_CHECKING:
     from eos_pin.planning.attempts import Progress as Report
@@ -50,12 +51,14 @@ class PlanPath:
     Attributes:
         path: Figure eight, circle, line, or a file of way points whose first row names its columns: x, y, z [m]; qw,
             qx, qy, qz, or roll, pitch, yaw [rad]; t [s] if there are times. Without orientation it stays as it is at
-            q0.
+            q0. Or the way points themselves, such as "0.4 0 0.5; 0.4 0.2 0.5".
         size: Half width or radius [m]; by default as large as the robot can follow at q0.
         centre: Centre of a circle or eight, one end of a line [m]; by default the path begins at q0.
         plane: Plane of the path, such as yz, or one axis for a line.
         period: Time of one round [s]; by default as short as half the velocity limits allow.
         closed: The joints return to where they began.
+        corners: Way points on a smooth curve, on straight lines with rounded corners, or with a stop at each.
+        blend: Distance from a way point at which a rounded corner leaves the line [m]; by default a tenth of the line.
     """
 
     path: str = "eight"
@@ -64,19 +67,28 @@ class PlanPath:
     plane: str | None = None
     period: float | None = None
     closed: bool = False
+    corners: Corners = "smooth"
+    blend: float | None = None
 
     def make(self, task: Task, q: JointVector) -> Trajectory:
         """The path: from a file, about a centre, or through the task point at q."""
         from eos_pin.experiments.defaults import fitting_path
         from eos_pin.trajectories.through import about, read_path
+        from eos_pin.trajectories.waypoints import is_table
 
-        if Path(self.path).suffix.lower() in (".csv", ".tsv", ".txt"):
+        if is_table(self.path):
             for name in ("size", "centre", "plane", "period"):
                 if getattr(self, name) is not None:
                     raise InputError(f"--{name} does not apply: it belongs to the paths eight, circle and line")
-            return read_path(self.path, task, task.value(q), closed=self.closed)
+            corners, blend = self.corners, self.blend
+            return read_path(self.path, task, task.value(q), closed=self.closed, corners=corners, blend=blend)
+        if (self.corners, self.blend) != ("smooth", None):
+            raise InputError(f"--corners {self.corners} does not apply: it belongs to way points")
         if self.path not in ("eight", "circle", "line"):
-            raise InputError(f"a path is eight, circle, line, or the name of a .csv file; got {self.path!r}")
+            raise InputError(
+                "a path is eight, circle, line, the name of a .csv file, or way points separated by semicolons; got "
+                f"{self.path!r}"
+            )
         if self.centre is None:
             size, plane, period = self.size, self.plane, self.period
             return fitting_path(task, q, shape=self.path, size=size, plane=plane, period=period)  # type: ignore[arg-type]

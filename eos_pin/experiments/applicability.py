@@ -70,6 +70,8 @@ RULES = (
         "--plan has a task, a path and a self-motion of its own; leave one of them out",
     ),
     Rule(("size", "plane", "period"), lambda s: s["path"] in DRAWN, "it belongs to the paths eight, circle and line"),
+    Rule(("corners", "blend"), lambda s: s["path"] not in (*DRAWN, "hold"), "it belongs to way points"),
+    Rule(("blend",), lambda s: s["corners"] == "round", "it belongs to --corners round"),
     Rule(("cycles",), lambda s: s["duration"] is None, "the duration is given; leave one of them out"),
     Rule(("cycles",), lambda s: s["path"] != "hold", "a robot that holds still has no rounds; give --duration"),
     Rule(

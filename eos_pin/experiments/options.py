@@ -13,6 +13,7 @@ from eos_pin.errors import InputError, Renamed
 from eos_pin.experiments.applicability import check_applicable
 from eos_pin.experiments.task_options import TaskOptions as TaskOptions
 from eos_pin.robot.postures import by_name
+from eos_pin.trajectories.corners import Corners
 
 # Everything else is imported where it is used, so that `eos-pin --help` does not wait for it.
 if TYPE_CHECKING:
@@ -85,12 +86,15 @@ class PathOptions:
 
     Attributes:
         path: Figure eight, circle, line, hold, or a CSV file whose first row names its columns: t [s]; x, y, z [m]; qw,
-            qx, qy, qz, or roll, pitch, yaw [rad]. Without t the speed is constant, without orientation it stays.
+            qx, qy, qz, or roll, pitch, yaw [rad]. Without t the speed is constant, without orientation it stays. Or the
+            way points themselves, such as "0.4 0 0.5; 0.4 0.2 0.5".
         size: Half width or radius [m]; by default as large as the robot can follow.
         plane: Plane of the path, such as yz, or one axis for a line.
         period: Time of one round [s]; by default as short as the joints' velocity limits allow, from 4 s.
         cycles: Rounds to run.
         duration: Length of the run [s], instead of rounds.
+        corners: Way points on a smooth curve, on straight lines with rounded corners, or with a stop at each.
+        blend: Distance from a way point at which a rounded corner leaves the line [m]; by default a tenth of the line.
     """
 
     path: str = "eight"
@@ -99,17 +103,24 @@ class PathOptions:
     period: float | None = None
     cycles: int = 3
     duration: float | None = None
+    corners: Corners = "smooth"
+    blend: float | None = None
 
     @checked
     def make(self, task: Task, q: JointVector) -> Trajectory:
         """The path: from a file, or through the task point at q."""
         from eos_pin.experiments.defaults import fitting_path
         from eos_pin.experiments.path_files import path_from_csv
+        from eos_pin.trajectories.waypoints import is_table
 
-        if self.path.lower().endswith((".csv", ".tsv", ".txt")):
-            return path_from_csv(self.path, task, q, patient=self.duration is not None)
+        if is_table(self.path):
+            patient = self.duration is not None
+            return path_from_csv(self.path, task, q, patient=patient, corners=self.corners, blend=self.blend)
         if self.path not in ("eight", "circle", "line", "hold"):
-            raise InputError(f"a path is eight, circle, line, hold, or the name of a .csv file; got {self.path!r}")
+            raise InputError(
+                "a path is eight, circle, line, hold, the name of a .csv file, or way points separated by semicolons; "
+                f"got {self.path!r}"
+            )
         return fitting_path(task, q, shape=self.path, size=self.size, plane=self.plane, period=self.period)  # type: ignore[arg-type]
 
     @checked

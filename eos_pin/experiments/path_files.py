@@ -23,11 +23,12 @@ from eos_pin.tasks.base import Point, Task
 from eos_pin.tasks.extent import check_reach
 from eos_pin.tasks.tolerance import ToleranceTask
 from eos_pin.trajectories.base import Hold, Trajectory
+from eos_pin.trajectories.corners import STOPPING, Corners, check_corners, paced, rounded
 from eos_pin.trajectories.spline import check_rows, cubic_spline, rotation_spline, shifted
 from eos_pin.trajectories.stacked import StackedTrajectory
 from eos_pin.trajectories.through import SAME, directions_in, waypoint_path
 from eos_pin.trajectories.tolerated import ToleratedPath
-from eos_pin.trajectories.waypoints import Waypoints, pose_numbers, read_waypoints
+from eos_pin.trajectories.waypoints import Waypoints, pose_numbers, posed, read_waypoints
 
 #: A path without times is no faster than this part of the robot's reach, or 1 rad, per second.
 PACE = 0.25
@@ -50,7 +51,15 @@ class _Coordinates(NamedTuple):
 
 
 @checked
-def path_from_csv(path: str | Path, task: Task, q: JointVector, *, patient: bool = False) -> Trajectory:
+def path_from_csv(
+    path: str | Path,
+    task: Task,
+    q: JointVector,
+    *,
+    patient: bool = False,
+    corners: Corners = "smooth",
+    blend: float | None = None,
+) -> Trajectory:
     """Path of a task through the rows of a text file, twice continuously differentiable.
 
     Times are counted from the first. Without times the path is followed at about constant speed, as fast as the joints'
@@ -58,19 +67,26 @@ def path_from_csv(path: str | Path, task: Task, q: JointVector, *, patient: bool
     changed is in the `notes` of the path.
 
     Args:
-        path: Text file; see `eos_pin.trajectories.waypoints` for its columns.
+        path: Text file; see `eos_pin.trajectories.waypoints` for its columns. Or a text of way points, such as
+            `"0.4 0 0.5; 0.4 0.2 0.5"`.
         task: The task.
         q: Joints where the robot starts.
         patient: Whether a path that takes more than ten minutes and hardly moves is taken as it is.
+        corners: A smooth curve through all way points; straight lines with rounded corners, for paths without times; or
+            straight lines with a stop at each way point.
+        blend: Distance from a way point at which a rounded corner leaves the line [m], or [rad] where the line only
+            turns; by default a tenth of the shorter line.
 
     Raises:
         InputError: The file cannot be used, its columns do not fit the task, or a point is out of reach. It names file,
             line and cause, and guesses units.
     """
     if isinstance(task, ToleranceTask):
-        return ToleratedPath(task, path_from_csv(path, task.whole, q, patient=patient))
+        within = path_from_csv(path, task.whole, q, patient=patient, corners=corners, blend=blend)
+        return ToleratedPath(task, within)
     table = read_waypoints(path)
     check_rows(table)
+    check_corners(corners, blend, table.t is not None)
     given = _of_task(table, task)
     z0 = task.value(q)
     if given.vectors is None and task.form == POSE:
@@ -79,13 +95,18 @@ def path_from_csv(path: str | Path, task: Task, q: JointVector, *, patient: bool
         check_reach(task, given.vectors, str(table.source), table.lines)
     steps = _steps(task, given)
     if table.t is None:
-        times, note = _timed(table, task, q, given, steps)
+        _check_rests(table, steps)
+        if corners == "round":
+            points = _points(task, z0, given)
+            closed = bool(np.abs(points[-1] - points[0]).max() < SAME)
+            given = _Coordinates(points=rounded(task, points, blend, closed=closed))
+        times, note = _timed(table, task, q, given, corners)
         notes = (*given.notes, note)
     else:
         if not patient:
             _check_pace(table, float(steps.sum()))
         times, notes = table.t, (*given.notes, *shifted(table))
-    curve = _curve(task, z0, given, times)
+    curve = _curve(task, z0, given, times, corners)
     object.__setattr__(curve, "notes", notes)
     return curve
 
@@ -208,6 +229,8 @@ def _unnamed(table: Waypoints, task: Task, values: Float[Array, "K k"]) -> _Coor
         return _Coordinates(*pose_numbers(values, source, table.lines))
     if task.form == ("rotation",):
         return _Coordinates(None, _turns(values, source, table))
+    if task.form == ("number", "direction") and width in (3, 6, 7, 12):
+        return _of_task(posed(table), task)
     first = task.channels()[0].part.stop
     if task.size != task.m or width not in (first, task.m):
         raise InputError(
@@ -246,12 +269,17 @@ def _unwrapped(table: Waypoints, task: Task, vectors: Float[Array, "K k"]) -> tu
 # -- times -----------------------------------------------------------------------------------------------------------
 
 
+def _ways(task: Task, points: Float[Array, "K size"]) -> Float[Array, "L m"]:
+    """Ways from point to point, in radians and parts `PACE` of the reach."""
+    scale = np.array([1.0 / (PACE * task.robot.reach) if unit == "m" else 1.0 for unit in task.units])
+    return np.asarray(task.kinematics.minus(points[1:], points[:-1]) * scale)
+
+
 def _steps(task: Task, given: _Coordinates) -> Vector:
     """Length of the way from row to row, in radians and parts `PACE` of the reach."""
     squares = 0.0
     if given.points is not None:
-        scale = np.array([1.0 / (PACE * task.robot.reach) if unit == "m" else 1.0 for unit in task.units])
-        return np.linalg.norm(task.kinematics.minus(given.points[1:], given.points[:-1]) * scale, axis=1)
+        return np.linalg.norm(_ways(task, given.points), axis=1)
     if given.vectors is not None:
         units = task.units[: given.vectors.shape[1]]
         scale = np.array([1.0 / (PACE * task.robot.reach) if unit == "m" else 1.0 for unit in units])
@@ -262,16 +290,26 @@ def _steps(task: Task, given: _Coordinates) -> Vector:
     return np.sqrt(squares)
 
 
-def _timed(table: Waypoints, task: Task, q: JointVector, given: _Coordinates, steps: Vector) -> tuple[Array, str]:
-    """Times for a table without, and a note about them."""
+def _check_rests(table: Waypoints, steps: Vector) -> None:
+    """Refuse rows that stay where they are without a time."""
     for k in np.flatnonzero(steps < 1e-9)[:1]:
         raise InputError(
             f"{table.source}, line {table.lines[k + 1]} repeats line {table.lines[k]}, and without a column t there is "
             "no telling how long to stay. Leave it out, or add the times t [s]"
         )
-    times = np.concatenate(([0.0], np.cumsum(steps)))
-    curve = _curve(task, task.value(q), given, times)
-    tried = np.linspace(0.0, times[-1], min(500, 20 * len(steps)) + 1)
+
+
+def _timed(table: Waypoints, task: Task, q: JointVector, given: _Coordinates, corners: Corners) -> tuple[Array, str]:
+    """Times for a table without, and a note about them."""
+    if corners == "round":
+        assert given.points is not None
+        times = paced(_ways(task, given.points), closed=np.array_equal(given.points[0], given.points[-1]))
+    else:
+        times = np.concatenate(([0.0], np.cumsum(_steps(task, given))))
+    if corners == "stop":
+        times *= STOPPING
+    curve = _curve(task, task.value(q), given, times, corners)
+    tried = np.linspace(0.0, times[-1], min(500, 20 * len(times)) + 1)
     found = Atlas(task).follow(q, [curve(t).z for t in tried.tolist()], tol=1e-6)
     rates = np.abs(np.diff(found.q, axis=0)) / (tried[1] - tried[0])
     slower = max(1.0, float((rates / (ROOM * task.robot.velocity)).max(initial=0.0)))
@@ -300,17 +338,34 @@ def _check_pace(table: Waypoints, way: float) -> None:
     )
 
 
-def _curve(task: Task, z0: Point, given: _Coordinates, times: Vector) -> Trajectory:
+def _points(task: Task, z0: Point, given: _Coordinates) -> Float[Array, "K size"]:
+    """Task points of the rows; coordinates that no column gives are as in z0."""
+    if given.points is not None:
+        return given.points
+    blocks = [block.reshape(len(block), -1) for block in (given.vectors, given.turns) if block is not None]
+    rows = np.hstack(blocks)
+    kept = np.tile(z0[rows.shape[1] :], (len(rows), 1))
+    return np.hstack((rows, kept))
+
+
+def _curve(task: Task, z0: Point, given: _Coordinates, times: Vector, corners: Corners) -> Trajectory:
     """The path through the rows at given times; coordinates that no column gives stay as in z0."""
+    if corners == "stop":
+        points = _points(task, z0, given)
+        closed = len(points) > 2 and bool(np.abs(points[-1] - points[0]).max() < SAME)
+        return waypoint_path(task, points, times, closed=closed, corners=corners)
+    if given.points is not None and task.form in (POSE, ("number",)):
+        turns = given.points[:, 3:].reshape(-1, 3, 3) if task.form == POSE else None
+        given = _Coordinates(given.points if turns is None else given.points[:, :3], turns)
     if given.points is not None:
         first, last = given.points[[0, -1]]
         return waypoint_path(task, given.points, times, closed=bool(np.abs(last - first).max() < SAME))
-    for closed in (None, False):
+    for repeats in (None, False):
         parts: list[Trajectory] = []
         if given.vectors is not None:
-            parts.append(cubic_spline(given.vectors, times, closed=closed))
+            parts.append(cubic_spline(given.vectors, times, closed=repeats))
         if given.turns is not None:
-            parts.append(rotation_spline(given.turns, times, closed=closed))
+            parts.append(rotation_spline(given.turns, times, closed=repeats))
         if len({part.period for part in parts}) < 2:
             break
     if given.turns is None and given.vectors is not None and given.vectors.shape[1] < task.size:

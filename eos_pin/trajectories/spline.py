@@ -263,24 +263,36 @@ class Geodesic(Trajectory):
         task: Task whose `plus` and `minus` define the lines.
         points: Points, (K, size), K ≥ 2.
         times: Increasing times [s], (K,).
+        closed: Whether it repeats; the last point is then the first again.
     """
 
     task: Task
     points: Float[Array, "K size"]
     times: Float[Array, " K"]
+    closed: bool = False
 
     def __post_init__(self) -> None:
         of_type(self.task, "task", Task)
         points, times = _knots([self.task.point(p) for p in listed(self.points, "points")], self.times)
         object.__setattr__(self, "points", frozen_copy(points))
         object.__setattr__(self, "times", frozen_copy(times))
-        object.__setattr__(self, "begin", float(times[0]))
-        object.__setattr__(self, "duration", float(times[-1]))
+        if self.closed:
+            gap = float(np.abs(self.task._minus(points[-1], points[0])).max())
+            if gap > 1e-9:
+                raise InputError(
+                    f"the first and last point of a closed path must be equal, but they are {gap:.3g} apart"
+                )
+            object.__setattr__(self, "period", float(times[-1] - times[0]))
+        else:
+            object.__setattr__(self, "begin", float(times[0]))
+            object.__setattr__(self, "duration", float(times[-1]))
         steps = [self.task._minus(b, a) for a, b in pairwise(points)]
         object.__setattr__(self, "_steps", steps)
 
     def __call__(self, t: float) -> Target:
         times, t = self.times, t if type(t) is float else number(t, "t")
+        if self.closed:
+            t = times[0] + (t - times[0]) % self.period
         k = min(max(bisect_right(times, t) - 1, 0), len(times) - 2)
         T = times[k + 1] - times[k]
         s = min(max((t - times[k]) / T, 0.0), 1.0)

@@ -43,7 +43,8 @@ def described(path: Trajectory) -> dict[str, Any]:
     if isinstance(path, ToleratedPath):
         return {"kind": "tolerated", "path": described(path.path)}
     if isinstance(path, Geodesic):
-        return {"kind": "geodesic", "points": np.asarray(path.points).tolist(), "times": path.times.tolist()}
+        points, times = np.asarray(path.points).tolist(), path.times.tolist()
+        return {"kind": "geodesic", "points": points, "times": times, "closed": path.closed}
     if isinstance(path, (Spline, RotationSpline)):
         from scipy.interpolate import BSpline, PPoly
 
@@ -80,7 +81,8 @@ def path_from(task: Task, description: Mapping[str, Any]) -> Trajectory:
         if kind == "tolerated" and isinstance(task, ToleranceTask):
             return ToleratedPath(task, path_from(task.whole, words["path"]))
         if kind == "geodesic":
-            return Geodesic(task, np.array(words["points"]), np.array(words["times"]))
+            closed = words.get("closed", False)
+            return Geodesic(task, np.array(words["points"]), np.array(words["times"]), closed)
         if kind in ("spline", "rotation_spline"):
             from scipy.interpolate import PPoly
 

@@ -20,11 +20,12 @@ from eos_pin.tasks.base import Kind, PointLike, Task
 from eos_pin.tasks.extent import check_reach
 from eos_pin.tasks.tolerance import ToleranceTask
 from eos_pin.trajectories.base import Hold, Target, Trajectory
+from eos_pin.trajectories.corners import STOPPING, Corners, check_corners, rounded
 from eos_pin.trajectories.harmonic import Harmonic, circle, figure_eight, line
-from eos_pin.trajectories.spline import rotations_along, unrolled
+from eos_pin.trajectories.spline import Geodesic, rotations_along, unrolled
 from eos_pin.trajectories.stacked import StackedTrajectory
 from eos_pin.trajectories.tolerated import ToleratedPath
-from eos_pin.trajectories.waypoints import Waypoints, read_waypoints
+from eos_pin.trajectories.waypoints import Waypoints, posed, read_waypoints
 
 #: A gap between way points is a jump where it is this many times the median, and this long in metres and radians.
 JUMP, LONG = 20.0, 0.05
@@ -141,8 +142,10 @@ def waypoint_path(
     *,
     closed: bool = False,
     names: Sequence[str] = (),
-) -> WaypointPath:
-    """Smooth path through way points.
+    corners: Corners = "smooth",
+    blend: float | None = None,
+) -> WaypointPath | Geodesic:
+    """Path through way points.
 
     Args:
         task: The task.
@@ -150,10 +153,15 @@ def waypoint_path(
         times: Increasing times [s]; by default the path is run at an even pace, a metre or a radian a second or less.
         closed: Whether the path returns to its first point. The last one may be the first again or the one before it.
         names: How each way point is called in messages; by default its number.
+        corners: A smooth curve through all way points; straight lines with rounded corners; or straight lines with a
+            stop at each way point.
+        blend: Size of rounded corners, see `rounded`.
 
     Raises:
-        InputError: Fewer than two, one twice in a row, a jump between two, or a closed path that does not close.
+        InputError: Fewer than two, one twice in a row, a jump between two, a closed path that does not close, or times
+            or a blend that do not apply.
     """
+    check_corners(corners, blend, times is not None)
     names = names or [f"way point {k}" for k in range(len(points))]
     if len(points) < 2:
         raise InputError(f"a path needs at least two way points, got {len(points)}")
@@ -173,7 +181,7 @@ def waypoint_path(
                 f"{names[k + 1]} is the same as {names[k]}; leave one of them out, or give times to let the robot wait"
             )
     worst = int(gaps.argmax())
-    if len(gaps) > 3 and gaps[worst] > JUMP * middle and gaps[worst] > LONG:
+    if corners == "smooth" and len(gaps) > 3 and gaps[worst] > JUMP * middle and gaps[worst] > LONG:
         raise InputError(
             f"the path jumps by {gaps[worst]:.3g} m or rad from {names[worst]} to {names[worst + 1]}, {JUMP:g} times "
             f"further than others ({middle:.3g}); add way points between them, or plan two paths"
@@ -198,22 +206,39 @@ def waypoint_path(
             clock = np.append(clock, clock[-1] + float(np.median(np.diff(clock))))
         if not (np.diff(clock) > 0.0).all():
             raise InputError(f"the times of a path must increase, got {clock.tolist()}")
+    if corners == "stop":
+        return Geodesic(task, np.array(z), clock if times is not None else STOPPING * clock, closed)
+    if corners == "round":
+        z = [*rounded(task, np.array(z), blend, closed=closed)]
+        clock = np.concatenate(([0.0], np.cumsum(_lengths(np.array([whole.minus(b, a) for a, b in pairwise(z)])))))
     return WaypointPath(task, np.array(z), clock, closed)
 
 
-def read_path(path: str | Path, task: Task, z: Array, *, closed: bool = False) -> WaypointPath:
-    """Path of a task from a file of way points; `z` gives what its columns do not.
+def read_path(
+    path: str | Path,
+    task: Task,
+    z: Array,
+    *,
+    closed: bool = False,
+    corners: Corners = "smooth",
+    blend: float | None = None,
+) -> WaypointPath | Geodesic:
+    """Path of a task from way points in a file or a text; `z` gives what its columns do not.
 
     Args:
-        path: File for `read_waypoints`.
+        path: File or text for `read_waypoints`.
         task: The task.
         z: Task point whose rotation is kept where the file has positions only, (size,).
         closed: Whether the path returns to its first point.
+        corners: As for `waypoint_path`.
+        blend: As for `waypoint_path`.
 
     Raises:
         InputError: The file cannot be read, or does not fit the task.
     """
     table = read_waypoints(path)
+    if table.values is not None and task.form in (("number", "rotation"), ("number", "direction")):
+        table = posed(table)
     rows = np.repeat(z[None], len(table), axis=0)
     for part, kind in task.channels():
         width, turning, angle = part.stop - part.start, kind == "rotation", kind == "angle"
@@ -235,7 +260,7 @@ def read_path(path: str | Path, task: Task, z: Array, *, closed: bool = False) -
     if table.position is not None:
         check_reach(task, rows, str(table.source), table.lines)
     names = [f"{path}, line {line}" for line in table.lines]
-    return waypoint_path(task, rows, table.t, closed=closed, names=names)
+    return waypoint_path(task, rows, table.t, closed=closed, names=names, corners=corners, blend=blend)
 
 
 def directions_in(table: Waypoints, task: Task) -> Float[Array, "K 3"] | None:
@@ -275,7 +300,8 @@ def span(path: Trajectory) -> tuple[float, float]:
     Raises:
         InputError: It neither repeats nor ends.
     """
-    start = float(getattr(path, "start", path.times[0] if isinstance(path, WaypointPath) else path.begin))
+    first = path.times[0] if isinstance(path, (WaypointPath, Geodesic)) else path.begin
+    start = float(getattr(path, "start", first))
     if math.isfinite(path.period):
         return start, start + path.period
     if math.isfinite(path.duration) and path.duration > start:
@@ -285,7 +311,7 @@ def span(path: Trajectory) -> tuple[float, float]:
 
 def stretched(path: Trajectory, factor: float) -> Trajectory | None:
     """The same path at a slower pace; None where it is a function that cannot be slowed down."""
-    if isinstance(path, WaypointPath):
+    if isinstance(path, (WaypointPath, Geodesic)):
         start = path.times[0]
         return replace(path, times=start + factor * (path.times - start))
     if isinstance(path, Harmonic):

@@ -3,6 +3,8 @@
 Columns are separated by commas, semicolons, tabs or spaces, and stand in any order; what follows a `#` is a comment. A
 first row names them: t [s]; x, y, z [m]; qw, qx, qy, qz, or roll, pitch, yaw [rad]; ax, ay, az, the direction of the
 tool's axis; heading [rad]; or z1, …, zm for the coordinates of any task. Without names they are t, z1, …, zm.
+
+A text such as `"0.4 0 0.5; 0.4 0.2 0.5"` has the way points themselves, without times.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
@@ -83,16 +85,31 @@ class Waypoints:
 
 
 @checked
+def is_table(path: str | Path) -> bool:
+    """Whether a path is a table of way points, by the ending of a file or as a text of numbers."""
+    return Path(path).suffix.lower() in (".csv", ".tsv", ".txt") or _is_text(path)
+
+
+def _is_text(path: str | Path) -> bool:
+    """Whether the rows stand in the text itself."""
+    return ";" in str(path) and all(
+        _decimal(cell) is not None for cell in re.split(r"[\s,;]+", str(path).strip(" ;,")) if cell
+    )
+
+
 def read_waypoints(path: str | Path) -> Waypoints:
     """Read a table of way points.
 
     Args:
-        path: Text file; the columns are described at the head of this module.
+        path: Text file, whose columns are described at the head of this module, or a text of way points separated by
+            semicolons.
 
     Raises:
         InputError: The file cannot be read, a column is not known or not there, a cell is no finite number, the times
             do not increase, or a quaternion is not of length 1 to 1e-3. It names file, line and cause.
     """
+    if _is_text(path):
+        return _written(str(path))
     path = Path(path)
     rows = _cells(path)
     if not rows:
@@ -170,6 +187,13 @@ def from_angles(angles: Float[Array, "K 3"]) -> Float[Array, "K 3 3"]:
     )
 
 
+def posed(table: Waypoints) -> Waypoints:
+    """The same with positions and rotations in the place of 3, 6, 7 or 12 unnamed numbers."""
+    assert table.values is not None
+    position, rotation = pose_numbers(table.values, str(table.source), table.lines)
+    return replace(table, values=None, position=position, axes="".join(POSITION), rotation=rotation)
+
+
 # -- text ------------------------------------------------------------------------------------------------------------
 
 
@@ -197,6 +221,15 @@ def _cells(path: Path) -> list[tuple[int, list[str]]]:
         if len(rows) > MOST_ROWS:
             raise InputError(f"{path} has more than {MOST_ROWS:,} rows; keep every second or tenth of them")
     return rows
+
+
+def _written(text: str) -> Waypoints:
+    """Way points that stand in a text."""
+    source = Path("the path")
+    rows = [row.replace(",", " ").split() for row in text.strip(" ;").split(";")]
+    names = tuple(f"z{i + 1}" for i in range(len(rows[0])))
+    table = [_numbers(source, k, cells, names) for k, cells in enumerate(rows, 1)]
+    return _named(source, list(range(1, len(rows) + 1)), names, table)
 
 
 def _text(path: Path) -> str:

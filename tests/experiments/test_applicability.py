@@ -33,6 +33,10 @@ REFUSED = [
     ("track panda --path some.csv --size 0.1", "--size 0.1 does not apply"),
     ("track panda --path some.csv --plane yz", "--plane yz does not apply"),
     ("track panda --path some.csv --period 3", "--period 3.0 does not apply"),
+    ("track panda --corners stop", "--corners stop does not apply: it belongs to way points"),
+    ("track panda --path some.csv --blend 0.1", "--blend 0.1 does not apply: it belongs to --corners round"),
+    ("compare panda --path hold --corners round", "--corners round does not apply"),
+    ("compare panda --path some.csv --blend 0.1", "--blend 0.1 does not apply"),
     ("track panda --cycles 5 --duration 9", "--cycles 5 does not apply: the duration is given"),
     ("compare panda --cycles 5 --duration 9", "--cycles 5 does not apply"),
     ("compare panda --path hold --size 0.1", "--size 0.1 does not apply"),
@@ -139,6 +143,7 @@ REFUSED = [
         for option in ("--size 0.1", "--centre 0 0 0", "--plane yz", "--period 3")
     ),
     ("plan panda --timing fastest --period 3", "--period 3 does not apply: --timing fastest finds the time"),
+    ("plan panda --corners round --blend 0.1", "--corners round does not apply: it belongs to way points"),
     ("plan panda --clearance 0.1", "--clearance 0.1 does not apply: there is nothing to be clear of"),
     ("plan panda --capsules c.json", "--capsules c.json does not apply"),
     ("plan panda --cost clearance", "needs a scene or self_collision"),
