@@ -273,6 +273,7 @@ class Geodesic(Trajectory):
 
     def __post_init__(self) -> None:
         of_type(self.task, "task", Task)
+        of_type(self.closed, "closed", bool)
         points, times = _knots([self.task.point(p) for p in listed(self.points, "points")], self.times)
         object.__setattr__(self, "points", frozen_copy(points))
         object.__setattr__(self, "times", frozen_copy(times))

@@ -84,7 +84,6 @@ class Waypoints:
         return len(self.lines)
 
 
-@checked
 def is_table(path: str | Path) -> bool:
     """Whether a path is a table of way points, by the ending of a file or as a text of numbers."""
     return Path(path).suffix.lower() in (".csv", ".tsv", ".txt") or _is_text(path)
@@ -97,6 +96,7 @@ def _is_text(path: str | Path) -> bool:
     )
 
 
+@checked
 def read_waypoints(path: str | Path) -> Waypoints:
     """Read a table of way points.
 
