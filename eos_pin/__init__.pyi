@@ -19,6 +19,7 @@ from .control import EosController as EosController
 from .control import FollowJoints as FollowJoints
 from .control import FollowPlan as FollowPlan
 from .control import FreeNullSpace as FreeNullSpace
+from .control import ImpedanceController as ImpedanceController
 from .control import JointLimits as JointLimits
 from .control import KeepTolerance as KeepTolerance
 from .control import KinematicLoop as KinematicLoop

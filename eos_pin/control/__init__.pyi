@@ -1,5 +1,6 @@
 from .base import Controller as Controller
 from .base import OpenLoop as OpenLoop
+from .compliant.impedance import ImpedanceController as ImpedanceController
 from .eos import EosController as EosController
 from .following import FollowJoints as FollowJoints
 from .following import FollowPlan as FollowPlan

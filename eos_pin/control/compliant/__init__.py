@@ -1,0 +1,1 @@
+"""Compliant control: stiffness and damping of the task and of the self-motion, in physical units."""

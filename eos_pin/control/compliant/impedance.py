@@ -1,0 +1,344 @@
+"""`ImpedanceController`: springs and dampers of the task, and others of the self-motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from eos_pin._arrays import JointVector, VectorLike, checked, frozen_copy, number, of_type, vector, vectors_of
+from eos_pin.charts.atlas import Atlas
+from eos_pin.charts.chart import Chart
+from eos_pin.control.base import Controller
+from eos_pin.control.compliant.gains import GainLike, gain_matrix, plain, ratio
+from eos_pin.control.compliant.law import Gains, ImpedanceLaw
+from eos_pin.control.compliant.memory import FILLING, ImpedanceState
+from eos_pin.control.compliant.springs import check_tool_axes, rotation_rows
+from eos_pin.errors import InputError, SingularError
+from eos_pin.robot.model import Robot
+from eos_pin.tasks.base import Task
+from eos_pin.trajectories.base import Hold, Target, Trajectory, check_reference
+
+#: What anchors the spring of the self-motion: joints, joints over time such as a plan, or the joints at hand.
+PostureLike: TypeAlias = (
+    "VectorLike | Callable[[float], tuple[JointVector, JointVector, JointVector]] | Literal['here'] | None"
+)
+HERE = "here"
+
+#: Stiffness where none is given: of lengths [N/m] and angles [N m/rad], and of the self-motion [N m/rad or N/m].
+STIFFNESS, SELF_MOTION_STIFFNESS = {"m": 1000.0, "rad": 50.0}, 20.0
+#: Damping of a part that is led by hand: of lengths [N s/m] and angles [N m s/rad], and of the self-motion [N m s/rad].
+LED, LED_SELF_MOTION = {"m": 20.0, "rad": 1.0}, 2.0
+#: Motion of the joints after which the margin of the chart is looked at again [rad or m].
+LOOK = 0.05
+
+
+class Energies(NamedTuple):
+    """Energies of an impedance-controlled robot in one state, and the power that its law brings in.
+
+    Attributes:
+        kinetic: Kinetic energy of the robot [J].
+        springs: Energy of the springs [J].
+        tank: Energy in the tank [J].
+        damping: Power that the dampers take [W].
+        injected: Power brought in by each part of the law that is not passive, by name [W].
+    """
+
+    kinetic: float
+    springs: float
+    tank: float
+    damping: float
+    injected: dict[str, float]
+
+
+class ImpedanceController(Controller):
+    """Impedance in (z, v): a spring and a damper for the task, and others for the self-motion.
+
+    tau = g(q) + G'ᵀ(K_z e_z − D_z dz) + W(K_v e_v − D_v dv) with e_v = Wᵀ(q_d − q), for targets at rest: the forces on
+    w = (z, v) pulled back to the joints by H⁻ᵀ = [G'ᵀ, W]. The robot keeps its own inertia. Both springs come to
+    rest together, as z and v are coordinates: the posture needs not fit the task's target. A force on the robot is
+    answered by each for itself, K_z e_z = −(Hᵀτ_ext)_z and K_v e_v = −(Hᵀτ_ext)_v at rest.
+
+    With targets at rest the law is passive, and so are changes of charts and modes: the new law fades in while the old
+    one fades out, and energy that this needs comes from a tank that damping fills; where the tank is empty the change
+    waits. Moving targets bring in power; `energies` has it. See docs/impedance.md.
+
+    A controller is never changed. `with_mode` makes another one, and `loop.controller = …` goes over to it without a
+    jump of the torque.
+
+    Args:
+        task: The task: of numbers, angles and rotations.
+        reference: Trajectory of the task; `"here"` for the point where the controller begins.
+        stiffness: K_z, one for each coordinate [N/m, N m/rad], by unit or label such as `{"m": 800, "rad": 40}`, or a
+            symmetric (m, m) matrix.
+        self_motion_stiffness: K_v, one number, (r,) or (r, r) [N m/rad; N/m for sliding joints].
+        damping_ratio: Damping ratio of all modes whose damping is not given.
+        damping: D_z, in the forms of the stiffness [N s/m, N m s/rad].
+        self_motion_damping: D_v, one number, (r,) or (r, r) [N m s/rad].
+        posture: Joints q_d at which the spring of the self-motion is anchored, (n,), or a function of time that
+            returns them with two derivatives, such as a plan; `"here"` for those where the controller begins, None for
+            those where the run began.
+        axes: Axes of stiffness and damping of the task: `"world"`, or `"tool"` for those of the tool's target.
+        feedforward: Whether velocities and accelerations of moving targets are used.
+        largest_error: Errors at which springs stop growing, by `"m"`, `"rad"` and `"v"`; by default they do not. The
+            stiffest direction stops at that error, others where they have the same energy.
+        blend: Time in which one chart or mode goes over to the next [s].
+        tank: Energy in the tank at the start, and the most that it holds [J].
+        atlas: Rule by which charts follow each other; by default that of `Atlas(task)`.
+
+    Raises:
+        InputError: A gain is negative, not symmetric, of another size or in one number for metres and radians; the
+            damping ratio is none; the axes are unknown, or the tool's where the task has no orientation; the reference
+            or the posture does not fit.
+        RobotError: The robot lacks mass.
+    """
+
+    @checked
+    def __init__(
+        self,
+        task: Task,
+        reference: Trajectory | str,
+        *,
+        stiffness: GainLike | None = None,
+        self_motion_stiffness: float | VectorLike = SELF_MOTION_STIFFNESS,
+        damping_ratio: float = 0.7,
+        damping: GainLike | None = None,
+        self_motion_damping: float | VectorLike | None = None,
+        posture: PostureLike = None,
+        axes: str = "world",
+        feedforward: bool = True,
+        largest_error: dict[str, float] | None = None,
+        blend: float = 0.2,
+        tank: float = 2.0,
+        atlas: Atlas | None = None,
+    ) -> None:
+        self._settings = {key: value for key, value in locals().items() if key not in ("self", "task", "__class__")}
+        task.robot.check_dynamics()
+        self.task: Task = task
+        self.robot: Robot = task.robot
+        if atlas is not None and atlas.task is not task:
+            raise InputError("the atlas of an ImpedanceController must be of the controller's own task object")
+        self.atlas = atlas or Atlas(task)
+        if isinstance(reference, str) and reference != HERE:
+            raise InputError(f"the reference must be a trajectory or 'here', got {reference!r}")
+        #: None where it is the point where the controller begins.
+        self.reference: Trajectory | None = None
+        if not isinstance(reference, str):
+            check_reference(task, reference)
+            self.reference = reference
+        self.posture = self._checked_posture(posture)
+        rotations = rotation_rows(task)
+        if axes not in ("world", "tool"):
+            raise InputError(f"axes must be 'world' or 'tool', got {axes!r}")
+        if axes == "tool":
+            check_tool_axes(task, rotations)
+        labels, units = task.labels, task.units
+        r = task.robot.n - task.m
+        own, one = [f"v{k + 1}" for k in range(r)], ["rad"] * r
+        if stiffness is None:
+            stiffness = [STIFFNESS.get(unit, STIFFNESS["rad"]) for unit in units]
+        self.gains = Gains(
+            stiffness=gain_matrix(stiffness, labels, units, "the stiffness"),
+            self_motion_stiffness=gain_matrix(self_motion_stiffness, own, one, "the self-motion stiffness"),
+            damping=None if damping is None else gain_matrix(damping, labels, units, "the damping"),
+            self_motion_damping=None
+            if self_motion_damping is None
+            else gain_matrix(self_motion_damping, own, one, "the self-motion damping"),
+            damping_ratio=ratio(damping_ratio, "the damping ratio"),
+            axes=axes,
+            clips=_clips(largest_error),
+            feedforward=feedforward,
+        )
+        self.blend = number(blend, "the time of a blend", above=0.0)
+        self.tank = number(tank, "the energy of the tank", at_least=0.0)
+
+    def _checked_posture(self, posture: Any) -> Any:
+        n = self.task.robot.n
+        if posture is None or (isinstance(posture, str) and posture == HERE):
+            return posture
+        if isinstance(posture, str):
+            raise InputError(f"the posture must be joints, a function of time, 'here' or None, got {posture!r}")
+        if callable(posture):
+            vectors_of("joints of the posture", 3, n, posture, 0.0)
+            return posture
+        return frozen_copy(vector(posture, n, "the posture"))
+
+    # -- modes -------------------------------------------------------------------------------------------------------
+
+    @checked
+    def with_mode(self, **changes: Any) -> ImpedanceController:
+        """The same controller with other settings, to be assigned to `loop.controller`.
+
+        Args:
+            changes: Arguments of the constructor, such as `stiffness`, `posture="here"`.
+
+        Raises:
+            InputError: A setting is unknown or does not fit.
+        """
+        unknown = sorted(changes.keys() - self._settings.keys())
+        if unknown:
+            raise InputError(f"a mode has no {', '.join(unknown)}; it has {', '.join(self._settings)}")
+        return type(self)(self.task, **{**self._settings, **changes})
+
+    @checked
+    def led(self, part: str, damping: GainLike | None = None) -> ImpedanceController:
+        """Mode in which a person leads a part of the robot by hand: no stiffness there, and little damping.
+
+        Args:
+            part: `"elbow"`: the self-motion, while the task is held; or `"tool"`: the task, while v is held.
+            damping: Damping of that part, in the forms of the constructor.
+
+        Raises:
+            InputError: No such part, or the damping does not fit.
+        """
+        if part == "elbow":
+            damping = LED_SELF_MOTION if damping is None else damping
+            return self.with_mode(self_motion_stiffness=0.0, self_motion_damping=damping, posture=HERE)
+        if part != "tool":
+            raise InputError(f"'elbow' or 'tool' is led, got {part!r}")
+        if damping is None:
+            damping = [LED.get(unit, LED["rad"]) for unit in self.task.units]
+        return self.with_mode(stiffness=[0.0] * self.task.m, damping=damping, reference=HERE, axes="world")
+
+    # -- the contract of controllers ---------------------------------------------------------------------------------
+
+    def start(self, t: float, q: JointVector, dq: JointVector) -> ImpedanceState:
+        chart = self.atlas.start(q)
+        anchor = q.copy() if self.posture is None else self.posture
+        return ImpedanceState((self._law(chart, q, anchor),), (1.0,), t, self.tank, 0, q.copy())
+
+    def take_over(self, t: float, q: JointVector, dq: JointVector, state: Any) -> ImpedanceState:
+        """Memory in which this mode fades in; from another controller, or another task, that at the start of a run."""
+        if not isinstance(state, ImpedanceState) or (
+            state.chart.task is not self.task
+            and (state.chart.task.robot, state.chart.task.describe()) != (self.robot, self.task.describe())
+        ):
+            return self._start(t, q, dq)
+        anchor = state.laws[-1].anchor if self.posture is None else self.posture
+        return self._followed(t, state, self._law(state.chart, q, anchor))
+
+    def _law(self, chart: Chart, q: JointVector, anchor: Any) -> ImpedanceLaw:
+        reference = self.reference or Hold(self.task._value(q), self.task.m)
+        anchor = q.copy() if isinstance(anchor, str) else anchor
+        return ImpedanceLaw(chart, self.gains, reference, anchor, q, self.robot)
+
+    def _followed(self, t: float, state: ImpedanceState, law: ImpedanceLaw) -> ImpedanceState:
+        """The state in which a law begins to fade in."""
+        return state._replace(
+            laws=(*state.laws, law),
+            weights=(*state.weights_at(t, self.blend), 0.0),
+            t=t,
+            tank=min(state.tank, self.tank),
+        )
+
+    def torque(self, t: float, q: JointVector, dq: JointVector, state: ImpedanceState) -> JointVector:
+        z, J = self.task._linearize(q)
+        tau = self.robot._gravity(q)
+        for weight, law in zip(state.weights_at(t, self.blend), state.laws, strict=True):
+            if weight:
+                tau += weight * law.torque(t, q, dq, z, J)
+        return tau
+
+    def step(
+        self, t: float, q: JointVector, dq: JointVector, state: ImpedanceState
+    ) -> tuple[JointVector, ImpedanceState]:
+        far = q - state.checked
+        if far.dot(far) > LOOK * LOOK:
+            state = state._replace(checked=q.copy())
+            if self._validity(t, q, dq, state) <= 0.0:
+                state = self._update(t, q, dq, state)
+        z, J = self.task._linearize(q)
+        if len(state.laws) == 1 and state.tank >= self.tank:
+            tau = state.laws[0].torque(t, q, dq, z, J)
+            tau += self.robot._gravity(q)
+            return tau, state
+        if t > state.t:
+            taken = sum(w * law.power(dq, J) for w, law in zip(state.weights, state.laws, strict=True))
+            state = state._replace(tank=state.tank + FILLING * (t - state.t) * taken)
+            state = state.paid(t, q, z, self.blend, self.tank)
+        return self._torque(t, q, dq, state), state
+
+    def validity(self, t: float, q: JointVector, dq: JointVector, state: ImpedanceState) -> float:
+        _, J = self.task._linearize(q)
+        chart, threshold = state.chart, self.atlas.threshold
+        try:
+            margin = chart._margin(J, enough=threshold) - threshold
+        except SingularError:
+            # No chart can be made here; the law needs none until the task has full rank again.
+            return 1.0
+        return min(margin, chart._room(q))
+
+    def update(self, t: float, q: JointVector, dq: JointVector, state: ImpedanceState) -> ImpedanceState:
+        q = state.chart._unwrap(q)
+        try:
+            chart = self.atlas.next(state.chart, q)
+        except SingularError:
+            return state
+        last = state.laws[-1]
+        law = ImpedanceLaw(chart, last.gains, last.reference, last.anchor, q, self.robot)
+        return self._followed(t, state, law)._replace(number=state.number + 1, checked=q.copy())
+
+    def chart(self, state: ImpedanceState) -> Chart:
+        return state.chart
+
+    def self_motion_target(self, t: float, state: ImpedanceState) -> Target | None:
+        """Self-motion that the spring is anchored at."""
+        chart, anchor = state.chart, state.laws[-1].anchor
+        rest = np.zeros(chart.r)
+        if not callable(anchor):
+            return Target(chart._v(anchor), rest, rest)
+        q, dq, ddq = anchor(t)
+        return Target(chart._v(q), chart._dv(dq), chart._dv(ddq))
+
+    # -- energy ------------------------------------------------------------------------------------------------------
+
+    @checked
+    def energies(self, t: float, q: JointVector, dq: JointVector, state: Any) -> Energies:
+        """Energies in a state, and the power that the law brings in there.
+
+        Args:
+            t: Time [s].
+            q: Joints.
+            dq: Joint velocities.
+            state: Memory.
+        """
+        of_type(state, "the memory of an ImpedanceController", ImpedanceState)
+        z, J = self.task._linearize(q)
+        springs = state.energy(t, q, z)
+        pairs = list(zip(state.weights, state.laws, strict=True))
+        damping = sum(weight * law.power(dq, J) for weight, law in pairs)
+        kinetic = self.robot._kinetic_energy(q, dq)
+        # What the torque does beyond gravity is what springs give and dampers take, and the rest is brought in.
+        beyond = (self._torque(t, q, dq, state) - self.robot._gravity(q)).dot(dq)
+        given = sum(weight * law.pull(t, q, z, J).dot(dq) for weight, law in pairs)
+        return Energies(kinetic, springs, state.tank, damping, {"moving targets": float(beyond - given + damping)})
+
+    def describe(self) -> dict[str, Any]:
+        gains = self.gains
+        return super().describe() | {
+            "stiffness": plain(gains.stiffness),
+            "self_motion_stiffness": plain(gains.self_motion_stiffness),
+            "damping": None if gains.damping is None else plain(gains.damping),
+            "self_motion_damping": None if gains.self_motion_damping is None else plain(gains.self_motion_damping),
+            "damping_ratio": gains.damping_ratio,
+            "axes": gains.axes,
+            "blend": self.blend,
+            "tank": self.tank,
+            "robot": self.robot.name,
+            "reference": HERE if self.reference is None else type(self.reference).__name__,
+            "threshold": self.atlas.threshold,
+        }
+
+
+def _clips(given: Any) -> tuple[float, float, float]:
+    """Errors at which springs stop growing, of lengths, angles and the self-motion."""
+    given = {} if given is None else given
+    if not isinstance(given, dict) or not given.keys() <= {"m", "rad", "v"}:
+        raise InputError(f"largest_error must be a dictionary with some of 'm', 'rad' and 'v', got {given!r}")
+    lengths, angles, own = (
+        number(given[key], f"the largest error {key}", above=0.0) if key in given else math.inf
+        for key in ("m", "rad", "v")
+    )
+    return lengths, angles, own

@@ -1,0 +1,264 @@
+"""Impedance in (z, v): springs that have an energy, pushes in MuJoCo, damping, modes, and gains that are refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eos_pin import (
+    AxisTask,
+    ControlLoop,
+    ImpedanceController,
+    InputError,
+    MujocoPlant,
+    OrientationTask,
+    PoseTask,
+    PoseTrajectory,
+    PositionTask,
+    Robot,
+    TaskForce,
+    circle,
+    simulate,
+)
+from eos_pin.control.compliant.gains import damping_of
+from eos_pin.control.compliant.projected import ProjectedImpedance
+
+TIP = "panda_hand_tcp"
+REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
+TASKS = {"position": PositionTask, "orientation": OrientationTask, "pose": PoseTask}
+PERIOD = 1e-3
+pytestmark = pytest.mark.usefixtures("unchecked")
+
+
+@pytest.fixture
+def pose(panda: Robot) -> PoseTask:
+    return PoseTask(panda, TIP)
+
+
+def full(size: int, seed: int) -> np.ndarray:
+    """A symmetric positive matrix with entries everywhere."""
+    X = np.random.default_rng(seed).normal(size=(size, size))
+    return 50.0 * (X @ X.T + np.eye(size))
+
+
+@pytest.mark.parametrize("clip", [None, {"m": 0.05, "rad": 0.3, "v": 0.2}], ids=["linear", "clipped"])
+@pytest.mark.parametrize("axes", ["world", "tool"])
+@pytest.mark.parametrize("kind", TASKS)
+def test_springs_are_gradients_of_their_energy(panda, kind, axes, clip) -> None:
+    task = TASKS[kind](panda, TIP)
+    if axes == "tool" and kind == "position":
+        return
+    stiffness = full(task.m, 1)
+    if kind == "pose" and clip:
+        # Clips are for the springs of lengths and of angles apart.
+        stiffness[:3, 3:] = stiffness[3:, :3] = 0.0
+    controller = ImpedanceController(
+        task, task.hold(REST), stiffness=stiffness, self_motion_stiffness=full(7 - task.m, 2), axes=axes,
+        largest_error=clip,
+    )  # fmt: skip
+    law = controller.start(0.0, REST, 0.0 * REST).laws[0]
+    random = np.random.default_rng(3)
+    for spread in (0.05, 0.4, 1.5):
+        q = REST + spread * random.normal(size=7)
+        tau = law.pull(0.0, q, *task.linearize(q))
+        ends = [[law.energy(0.0, x, task.value(x)) for x in (q + h, q - h)] for h in 1e-6 * np.eye(7)]
+        slope = np.array([(plus - minus) / 2e-6 for plus, minus in ends])
+        np.testing.assert_allclose(tau, -slope, atol=1e-6 * max(1.0, np.abs(slope).max()))
+
+
+def test_rotation_spring_is_smooth_half_a_turn_away(panda: Robot) -> None:
+    task = OrientationTask(panda, TIP)
+    controller = ImpedanceController(task, task.hold(REST), stiffness=full(3, 4), self_motion_stiffness=0.0)
+    law = controller.start(0.0, REST, 0.0 * REST).laws[0]
+    R = task.value(REST).reshape(3, 3)
+    turned = [(pin.exp3(angle * np.array([0.6, 0.0, 0.8])) @ R).ravel() for angle in (math.pi - 1e-7, math.pi + 1e-7)]
+    J = task.linearize(REST)[1]
+    one, other = (law.pull(0.0, REST, z, J) for z in turned)
+    np.testing.assert_allclose(one, other, atol=1e-3)
+
+
+def test_damping_ratio_is_that_of_every_mode() -> None:
+    M, K = full(7, 5), full(7, 6)
+    D = damping_of(M, K, 0.6)
+    companion = np.block([[np.zeros((7, 7)), np.eye(7)], [-np.linalg.solve(M, K), -np.linalg.solve(M, D)]])
+    roots = np.linalg.eigvals(companion)
+    np.testing.assert_allclose(-roots.real / np.abs(roots), 0.6, atol=1e-9)
+
+
+# -- pushes ------------------------------------------------------------------------------------------------------------
+
+
+def settled(controller, q, torque, duration=4.0):
+    """Joints at rest, and memory, in MuJoCo under torques that are a function of the joints."""
+    plant, loop, dq = MujocoPlant.from_robot(controller.robot), ControlLoop(controller), np.zeros(7)
+    for k in range(round(duration / PERIOD)):
+        q, dq = plant.advance(q, dq, loop.step(k * PERIOD, q, dq) + torque(q), PERIOD)
+    assert np.abs(dq).max() < 1e-5
+    return q, loop.state
+
+
+def test_push_at_elbow_moves_tool_by_its_share_only(pose: PoseTask) -> None:
+    controller = ImpedanceController(
+        pose, pose.hold(REST), stiffness={"m": 1000.0, "rad": 50.0}, self_motion_stiffness=20.0
+    )
+    elbow = PositionTask(pose.robot, "panda_link4")
+    way = elbow.linearize(REST)[1] @ np.linalg.svd(pose.linearize(REST)[1])[2][-1]
+    push = TaskForce(elbow, lambda t: 20.0 * way / np.linalg.norm(way))
+    q, state = settled(controller, REST, lambda q: push.torque(0.0, q))
+    z, J = pose.linearize(q)
+    Q = np.linalg.solve(np.vstack((J, state.chart.Vt)).T, push.torque(0.0, q))
+    moved = pose.minus(z, pose.value(REST))
+    np.testing.assert_allclose(moved, Q[:6] / np.r_[[1e3] * 3, [50.0] * 3], rtol=0.02, atol=1e-6)
+    np.testing.assert_allclose(state.chart.v(q), Q[6:] / 20.0, rtol=1e-6)
+
+
+def test_push_at_tool_meets_stiffness_of_task(pose: PoseTask) -> None:
+    controller = ImpedanceController(pose, pose.hold(REST), stiffness=[400.0, 800.0, 1600.0, 50.0, 50.0, 50.0])
+    push = TaskForce(pose, lambda t: [10.0, 10.0, 10.0, 0.0, 0.0, 0.0])
+    q, state = settled(controller, REST, lambda q: push.torque(0.0, q))
+    moved = pose.minus(pose.value(q), pose.value(REST))
+    np.testing.assert_allclose(moved[:3], [10.0 / 400.0, 10.0 / 800.0, 10.0 / 1600.0], rtol=1e-3)
+    # The elbow does not feel it.
+    np.testing.assert_allclose(state.chart.v(q), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("consistency", ["kinematic", "dynamic", "stiffness"])
+def test_projectors_are_consistent_with_their_weighting(pose: PoseTask, consistency: str) -> None:
+    K_q = np.array([30.0, 30.0, 30.0, 30.0, 10.0, 10.0, 10.0])
+    law = ProjectedImpedance(
+        pose, pose.hold(REST), REST + 0.1, consistency=consistency, stiffness={"m": 900.0, "rad": 40.0},
+        joint_stiffness=K_q,
+    )  # fmt: skip
+    weight = {"kinematic": np.eye(7), "dynamic": pose.robot.mass(REST), "stiffness": np.diag(K_q)}[consistency]
+    tau = law.torque(0.0, REST, 0.0 * REST, None) - pose.robot.gravity(REST)
+    J = pose.linearize(REST)[1]
+    np.testing.assert_allclose(J @ np.linalg.solve(weight, tau), 0.0, atol=1e-10)
+    # Along the self-motion the pull is that of the posture.
+    own = np.linalg.svd(J)[2][-1]
+    np.testing.assert_allclose(own @ tau, own @ (0.1 * K_q), rtol=1e-9)
+
+
+# -- moving targets ----------------------------------------------------------------------------------------------------
+
+
+def test_moving_targets_are_followed_without_error(pose: PoseTask) -> None:
+    place = pose.robot.placement(REST, TIP)
+    turning = PoseTrajectory(
+        position=circle(place.translation, 0.08, period=3.0, plane="yz"), orientation=place.rotation
+    )
+    W = np.linalg.svd(pose.linearize(REST)[1])[2][-1]
+
+    def swing(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        w = 2.0
+        return REST + 0.2 * math.sin(w * t) * W, 0.2 * w * math.cos(w * t) * W, -0.2 * w * w * math.sin(w * t) * W
+
+    controller = ImpedanceController(
+        pose, turning, posture=swing, damping_ratio=1.0, stiffness={"m": 2e3, "rad": 200.0}
+    )
+    result = simulate(pose.robot, controller, REST, duration=4.0)
+    assert result.ok
+    assert np.abs(result.error[-20:]).max() < 1e-4
+    chart, t = controller.start(0.0, REST, REST).chart, result.t[-1]
+    assert np.abs(chart.v(result.q[-1]) - chart.v(swing(t)[0])).max() < 1e-3
+
+
+def test_feedforward_is_gone_where_targets_rest(pose: PoseTask) -> None:
+    """A target that comes to rest leaves the law of one that is held, whatever the speed."""
+    z, rest = pose.value(REST), np.zeros(7)
+    moving = PoseTrajectory(position=circle(z[:3], 1e-12, period=3.0), orientation=z[3:].reshape(3, 3))
+    q, dq = REST + 0.05, np.linspace(-1.0, 1.0, 7)
+    one, other = (
+        (law := ImpedanceController(pose, reference)).torque(0.0, q, dq, law.start(0.0, REST, rest))
+        for reference in (moving, pose.hold(REST))
+    )
+    np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+# -- gains that are refused --------------------------------------------------------------------------------------------
+
+ASYMMETRIC = np.diag([500.0] * 6) + np.eye(6, k=1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"stiffness": [-1.0, 1.0, 1.0, 1.0, 1.0, 1.0]}, "at least 0 in every direction"),
+        ({"stiffness": ASYMMETRIC}, "must be symmetric"),
+        ({"stiffness": np.diag([500.0] * 6) - 600.0 * np.ones((6, 6))}, "least eigenvalue"),
+        ({"stiffness": 500.0}, "for coordinates in m and rad"),
+        ({"stiffness": [500.0, 500.0]}, "got shape"),
+        ({"stiffness": {"m": 500.0}}, "lacks rx, ry, rz"),
+        ({"stiffness": {"m": 500.0, "deg": 50.0}}, "no unit or label"),
+        ({"stiffness": [math.nan] * 6}, "must be finite"),
+        ({"damping": -2.0 * np.eye(6)}, "the damping must be at least 0"),
+        ({"damping_ratio": 0.0}, "the damping ratio must be"),
+        ({"damping_ratio": 70.0}, "0.7 is usual"),
+        ({"self_motion_stiffness": -3.0}, "the self-motion stiffness must be at least 0"),
+        ({"self_motion_stiffness": [1.0, 2.0]}, "got shape"),
+        ({"axes": "base"}, "axes must be 'world' or 'tool'"),
+        ({"posture": [0.0, 0.0]}, "the posture must be 7 numbers"),
+        ({"posture": "there"}, "the posture must be"),
+        ({"largest_error": {"mm": 3.0}}, "largest_error must be"),
+        ({"blend": 0.0}, "the time of a blend"),
+        ({"tank": -1.0}, "the energy of the tank"),
+    ],
+)
+def test_gains_without_sense_are_refused(pose: PoseTask, settings, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        ImpedanceController(pose, pose.hold(REST), **settings)
+
+
+def test_impedance_refuses_wrong_frames_and_tasks(panda: Robot, task: PositionTask) -> None:
+    with pytest.raises(InputError, match="has not"):
+        ImpedanceController(task, task.hold(REST), axes="tool")
+    axis = AxisTask(panda, TIP)
+    with pytest.raises(InputError, match="fixed axes"):
+        ImpedanceController(axis, axis.hold(REST))
+
+
+# -- modes and energy --------------------------------------------------------------------------------------------------
+
+
+def energy(controller, t, q, dq, state):
+    found = controller.energies(t, q, dq, state)
+    return found.kinetic + found.springs + found.tank
+
+
+def test_modes_change_without_jump_and_without_energy(pose: PoseTask) -> None:
+    soft = ImpedanceController(pose, pose.hold(REST), stiffness={"m": 300.0, "rad": 20.0}, tank=0.3)
+    modes = [soft.with_mode(stiffness={"m": 3000.0, "rad": 200.0}), soft.led("elbow"), soft.led("tool"), soft]
+    plant, loop = MujocoPlant.from_robot(pose.robot), ControlLoop(soft)
+    q, dq, last, work, energies = REST + 0.1, np.zeros(7), None, 0.0, []
+    start = energy(soft, 0.0, q, dq, soft.start(0.0, q, dq))
+    for k in range(2000):
+        t = k * PERIOD
+        if k % 400 == 200:
+            loop.controller = modes[k // 400 % 4]
+        push = 20.0 * np.sin(5.0 * t) * np.array([0.0, 1.0, -0.5, 0.2, 0.0, 0.1, 0.0])
+        tau = loop.step(t, q, dq)
+        assert last is None or np.abs(tau - last).max() < 1.5, k
+        assert loop.state.tank >= 0.0
+        q_next, dq = plant.advance(q, dq, tau + push, PERIOD)
+        work += push @ (q_next - q)
+        q, last = q_next, tau
+        energies.append(energy(loop.controller, t, q, dq, loop.state) - start - work)
+    assert max(energies) < 0.02
+
+
+@given(st.integers(0, 1000))
+def test_law_is_finite_at_any_state(panda: Robot, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    pose = PoseTask(panda, TIP)
+    controller = ImpedanceController(pose, pose.hold(REST))
+    state = controller.start(0.0, REST, 0.0 * REST)
+    q, dq = random.uniform(-math.pi, math.pi, 7), random.normal(size=7)
+    assert np.isfinite(controller.torque(0.0, q, dq, state)).all()
+    tau, later = controller.step(1.0, q, dq, state)
+    assert np.isfinite(tau).all()
+    # A step returns the torque of the memory that it returns.
+    np.testing.assert_array_equal(tau, controller.torque(1.0, q, dq, later))
