@@ -70,7 +70,7 @@ class Viewer:
 
     The server is a thread of this process and listens on the loopback interface only: nobody else can connect, and
     nothing stays behind, however the process ends. Browsers may come, go and reload at any time; each keeps what it
-    has received, to be scrubbed back and forth, also when the run is over.
+    has received, to be scrubbed back and forth, also when the run is over. For example:
 
         with Viewer(scene, q) as viewer:
             viewer.open()

@@ -1,0 +1,85 @@
+"""The documentation as a site that works offline: `python -m sphinx -W docs build/docs`, with the extra `docs`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import eos_pin
+
+HERE = Path(__file__).parent
+
+project, author, version = "eos_pin", "the authors of eos_pin", eos_pin.__version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+html_theme, html_title = "furo", f"eos_pin {version}"
+html_static_path: list[str] = []
+exclude_patterns = ["_build"]
+myst_heading_anchors = 3
+# Text between single backquotes in docstrings is code.
+default_role = "code"
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"
+napoleon_use_ivar = True
+# A property that begins "Length [m]: …" is no reference to a class m.
+suppress_warnings = ["ref.python"]
+
+#: What each room of the public API is for, in the order of the pages.
+ROOMS = {
+    "robot": "Robots",
+    "tasks": "Tasks",
+    "trajectories": "Trajectories",
+    "charts": "Charts",
+    "control": "Control",
+    "planning": "Planning",
+    "simulation": "Simulation",
+    "experiments": "Experiments",
+    "viewer": "Viewer",
+    "errors": "Errors",
+}
+PUBLIC = re.compile(r"^from \.(\w+) import (\w+) as", re.MULTILINE)
+
+
+def write_reference(_app: Any = None) -> None:
+    """Write a page for each room with everything public in it, from the list of public names."""
+    folder = HERE / "reference"
+    folder.mkdir(exist_ok=True)
+    names: dict[str, list[str]] = {room: [] for room in ROOMS}
+    for room, name in PUBLIC.findall((HERE.parent / "eos_pin" / "__init__.pyi").read_text(encoding="utf-8")):
+        names[room].append(name)
+    for room, title in ROOMS.items():
+        lines = [title, "=" * len(title), ""]
+        for name in names[room]:
+            thing = getattr(eos_pin, name)
+            kind = (
+                "function" if not isinstance(thing, type) else "exception" if issubclass(thing, Exception) else "class"
+            )
+            lines += [f".. auto{kind}:: eos_pin.{name}", *(["   :members:"] if kind == "class" else []), ""]
+        page = folder / f"{room}.rst"
+        text = "\n".join(lines)
+        # An unchanged page is not built again.
+        if not page.exists() or page.read_text(encoding="utf-8") != text:
+            page.write_text(text, encoding="utf-8")
+
+
+def escape(_app: Any, _what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
+    """Make plain text of docstrings what Sphinx reads: bars and stars are no markup, what is indented is code."""
+    for i, line in enumerate(lines):
+        # What follows a colon and an empty line with an indent is an example.
+        if (
+            line.endswith(":")
+            and not "".join(lines[i + 1 : i + 2])
+            and "".join(lines[i + 2 : i + 3]).startswith("    ")
+        ):
+            lines[i] = line + ":"
+            continue
+        parts = re.split(r"(`+[^`]+`+)", line)
+        lines[i] = "".join(
+            part if k % 2 else re.sub(r"([|*]|(?<=\w)_(?=\W|$))", r"\\\1", part) for k, part in enumerate(parts)
+        )
+
+
+def setup(app: Any) -> None:
+    """Connect the steps of the build."""
+    app.connect("builder-inited", write_reference)
+    app.connect("autodoc-process-docstring", escape, priority=400)
