@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.linalg import lapack
@@ -21,6 +22,9 @@ from eos_pin._kernels.dispatch import DONE, use_compiled
 from eos_pin.charts._basis import DENSE
 from eos_pin.charts.chart import DENSE_SOLVE, EDGE, Chart
 from eos_pin.errors import ChartError
+
+#: Returns the accelerations of joints that are followed; None where none are.
+Lead: TypeAlias = Callable[[], "JointVector | None"]
 
 MapKernel, LawKernel = use_compiled(plain_law.AccelerationMap), use_compiled(plain_law.TrackingLaw)
 
@@ -41,7 +45,9 @@ def speed_ratio_squared(dq: JointVector) -> float:
     return 1.0 if squared < FAST_SPEED**2 else squared / FAST_SPEED**2
 
 
-def damped_system(J: Jacobian, b: TaskVector, dq: JointVector) -> tuple[Jacobian, TaskVector]:
+def damped_system(
+    J: Jacobian, b: TaskVector, dq: JointVector, lead: JointVector | None = None
+) -> tuple[Jacobian, TaskVector]:
     """Regularize J x = b near a rank-deficient J, for accelerations x of joints that move; returns (Y, c) with Y x = c.
 
     The rows of Y are orthonormal, so that x = Yᵀ c is the solution where J is square. A singular value s of J below ε
@@ -49,19 +55,21 @@ def damped_system(J: Jacobian, b: TaskVector, dq: JointVector) -> tuple[Jacobian
     1 − s²/ε²; above ε nothing is changed. So x is bounded and continuous where J loses rank. ε and β are
     SINGULAR_VALUE_FLOOR and BRAKING, and grow in proportion to the speed of joints that are faster than FAST: Coriolis
     terms grow with the square of the speed, and as ε² does so too, what remains of them is bounded while the braking
-    grows.
+    grows. Where joints are followed, their acceleration takes the place of braking: where they are met it is x itself,
+    so that nothing fades.
 
     Args:
         J: Jacobian, its rows weighted so that singular values compare.
         b: Right side, weighted likewise.
         dq: Joint velocities.
+        lead: Joint accelerations of a law that follows joints; None without.
     """
     X, s, Y = np.linalg.svd(J, full_matrices=False)
     speed = math.sqrt(speed_ratio_squared(dq))
     epsilon, beta = speed * SINGULAR_VALUE_FLOOR, speed * BRAKING_RATE
     kept = np.minimum((s / epsilon) ** 2, 1.0)
     gain = np.minimum(s / epsilon**2, 1.0 / np.maximum(s, epsilon))
-    return Y, gain * (X.T @ b) - (1.0 - kept) * beta * (Y @ dq)
+    return Y, gain * (X.T @ b) + (1.0 - kept) * (Y @ (-beta * dq if lead is None else lead))
 
 
 class AccelerationMap:
@@ -94,21 +102,24 @@ class AccelerationMap:
         most, runaway = (self.most, OVERSPEED) if self.smooth else (math.inf, math.inf)
         return self.chart.Vt, self.chart.row_basis.T, most, FAST_SPEED, runaway, OVERSPEED_DAMPING
 
-    def __call__(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[JointVector, float]:
+    def __call__(
+        self, J: Jacobian, F: JointVector, dq: JointVector, lead: Lead = lambda: None
+    ) -> tuple[JointVector, float]:
         """Joint acceleration, and a lower bound of the chart's margin; 0 where none is computed.
 
         Args:
             J: Jacobian G'(q).
             F: Acceleration asked of w = (z, v), the task's part without its drift, (n,).
             dq: Joint velocities, to be braked.
+            lead: Asked for the accelerations of joints that are followed, where a direction fades; None to brake it.
 
         Raises:
             ChartError: [G'; Vᵀ] is singular, and nothing fades.
         """
         if self._kernel is None:
-            return self._for_many_joints(J, F, dq), 0.0
+            return self._for_many_joints(J, F, dq, lead), 0.0
         status, ddq, margin = self._kernel(J, F, dq)
-        return (ddq, margin) if status == DONE else (self._near_singularity(J, F, dq), 0.0)
+        return (ddq, margin) if status == DONE else (self._near_singularity(J, F, dq, lead), 0.0)
 
     def tracking_law(
         self, kp: TaskVector, kd: TaskVector, kp_v: SelfMotionVector, kd_v: SelfMotionVector, v_d: SelfMotionVector
@@ -138,18 +149,18 @@ class AccelerationMap:
                 return float(bound)
         return self.chart._margin(J, enough=enough)
 
-    def _for_many_joints(self, J: Jacobian, F: JointVector, dq: JointVector) -> JointVector:
+    def _for_many_joints(self, J: Jacobian, F: JointVector, dq: JointVector, lead: Lead = lambda: None) -> JointVector:
         """The acceleration where V is not written out: V F_v + U B (F_z − G'V F_v)."""
         chart, m = self.chart, self.chart.m
         if not (math.isfinite(J.sum()) and math.isfinite(dq.dot(dq))):
-            return self._near_singularity(J, F, dq)
+            return self._near_singularity(J, F, dq, lead)
         lifted = chart.basis.apply(self._braked(F, dq)[m:])
         JQ = J.dot(chart.row_basis)
         LU, pivots, info = lapack.dgetrf(JQ)
         B, singular = lapack.dgetri(LU, pivots)
         UB = B.ravel("K")
         if info or singular or (self.smooth and not UB.dot(UB) * speed_ratio_squared(dq) < self.most):
-            return self._near_singularity(J, F, dq)
+            return self._near_singularity(J, F, dq, lead)
         return lifted + chart.row_basis.dot(B.dot(F[:m] - J.dot(lifted)))
 
     def _braked(self, F: JointVector, dq: JointVector) -> JointVector:
@@ -159,24 +170,24 @@ class AccelerationMap:
             return F
         return np.concatenate((F[:m], F[m:] - OVERSPEED_DAMPING * (speed - OVERSPEED) * self.chart._dv(dq)))
 
-    def _near_singularity(self, J: Jacobian, F: JointVector, dq: JointVector) -> JointVector:
+    def _near_singularity(self, J: Jacobian, F: JointVector, dq: JointVector, lead: Lead = lambda: None) -> JointVector:
         """The acceleration where the kernel has none; directions of the task fade."""
         # A trial state of an integrator may be beyond all numbers; the torque says so.
         if not (math.isfinite(J.sum()) and math.isfinite(dq.dot(dq))):
             return np.full(self.chart.n, math.nan)
         if not self.smooth:
             raise ChartError(EDGE)
-        return self._faded(J, self._braked(F, dq), dq)
+        return self._faded(J, self._braked(F, dq), dq, lead())
 
-    def _faded(self, J: Jacobian, F: JointVector, dq: JointVector) -> JointVector:
+    def _faded(self, J: Jacobian, F: JointVector, dq: JointVector, a: JointVector | None) -> JointVector:
         """The acceleration where the task may be singular."""
         chart = self.chart
         m, Q = chart.m, chart.row_basis
-        Y, c = damped_system(J / self._units[:, None], F[:m] / self._units, dq)
+        Y, c = damped_system(J / self._units[:, None], F[:m] / self._units, dq, a)
         # Once more for the self-motion: a chart that is worn and cannot be renewed, and joints far too fast.
         if chart.n <= DENSE_SOLVE:
-            X, x = damped_system(np.vstack((Y, chart.Vt)), np.concatenate((c, F[m:])), dq)
+            X, x = damped_system(np.vstack((Y, chart.Vt)), np.concatenate((c, F[m:])), dq, a)
             return X.T @ x
         lifted = chart.basis.apply(F[m:])
-        X, x = damped_system(Y @ Q, c - Y @ lifted, Q.T @ dq)
+        X, x = damped_system(Y @ Q, c - Y @ lifted, Q.T @ dq, None if a is None else Q.T @ a)
         return lifted + Q @ (X.T @ x)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,8 @@ class EosController(TaskController):
     ε̈ + kd ε̇ + kp ε = 0 independently of each other.
 
     Near a singularity of the task the direction that is being lost is given up by degrees and braked there, so that the
-    torque stays bounded and continuous; it is taken up again as the rank returns. `task_deficit` says how much is lost.
+    torque stays bounded and continuous; it is taken up again as the rank returns. `task_deficit` says how much is lost:
+    nothing where joints are followed that have the task's point, such as those of a plan.
     Where the chart changes the torque is continuous, too: what the law then asks of v, it gets within 1/20 s.
 
     Args:
@@ -172,7 +174,8 @@ class EosController(TaskController):
         F = self._asked(t, q, dq, state.chart, point)
         if more is not None:
             F[point.dz.size :] += more
-        return *state.drive(point.J, F, dq), point.J
+        lead = partial(self.self_motion._joint_acceleration, t, q, dq, self.robot)
+        return *state.drive(point.J, F, dq, lead), point.J
 
     @checked
     def asked(self, t: float, q: JointVector, dq: JointVector, chart: Chart, point: TaskPoint) -> JointVector:

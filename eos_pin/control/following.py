@@ -81,8 +81,14 @@ class FollowJoints(Objective):
         return q, dq, ddq
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        return chart._dv(self._joint_acceleration(t, q, dq, chart.task.robot))
+
+    @checked
+    def joint_acceleration(self, t: float, q: JointVector, dq: JointVector, robot: Robot) -> JointVector:
         q_d, dq_d, ddq_d = self._at(t)
-        return chart._dv(ddq_d + self.kd * (dq_d - dq) + self.kp * chart.task.robot._way(q, q_d))
+        return ddq_d + self.kd * (dq_d - dq) + self.kp * robot._way(q, q_d)
+
+    _joint_acceleration = unchecked(joint_acceleration)
 
     def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
         (now, velocity, _), (ahead, _, _) = self._at(t), self._at(t + step)

@@ -77,6 +77,14 @@ class Objective(Checked, ABC):
         return None
 
     @checked
+    def joint_acceleration(self, t: float, q: JointVector, dq: JointVector, robot: Robot) -> JointVector | None:
+        """Acceleration (n,) asked of all joints by a law that follows joints; None where none are followed.
+
+        It leads on where the task alone no longer says how to move, at its singularities.
+        """
+        return None
+
+    @checked
     def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
         """Targets around time t, for a loop that commands motion; by default the law counts as an acceleration.
 
@@ -118,6 +126,7 @@ class Objective(Checked, ABC):
         """
 
     _acceleration = unchecked(acceleration)
+    _joint_acceleration = unchecked(joint_acceleration)
     _target = unchecked(target)
     _target_on = unchecked(target_on)
     _held_law = unchecked(held_law)
@@ -371,6 +380,10 @@ class SumObjective(Objective):
 
     def target_on(self, t: float, chart: Chart) -> Target | None:
         return next((target for part in self.parts if (target := part._target_on(t, chart)) is not None), None)
+
+    def joint_acceleration(self, t: float, q: JointVector, dq: JointVector, robot: Robot) -> JointVector | None:
+        found = (part._joint_acceleration(t, q, dq, robot) for part in self.parts)
+        return next((a for a in found if a is not None), None)
 
     def check_start(self, t: float, q: JointVector, chart: Chart) -> None:
         for part in self.parts:

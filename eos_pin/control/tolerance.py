@@ -76,6 +76,9 @@ class KeepTolerance(Objective):
         most = -2.0 * self.rate * rate + self.rate**2 * (1.0 - s[0])
         return asked + _smallest(slope.T, most - bend)
 
+    def joint_acceleration(self, t: float, q: JointVector, dq: JointVector, robot: Robot) -> JointVector | None:
+        return self.law._joint_acceleration(t, q, dq, robot)
+
     def _used(self, Q: Float[Array, "K n"], Z: Float[Array, "K size"]) -> Float[Array, "K B"]:
         """Squared part of each band that is used."""
         used = self.task.used(self.task.whole.kinematics.value(Q), Z)

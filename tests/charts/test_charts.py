@@ -547,6 +547,18 @@ def test_damped_system_is_bounded_and_brakes(size, seed, fraction, speed):
     np.testing.assert_allclose((Y @ x)[:-1], (X.T @ b)[:-1] / values[:-1], atol=1e-9 * max(1.0, abs(speed)))
 
 
+@given(size=st.integers(1, 8), seed=seeds, fraction=st.floats(0.0, 2.0), speed=st.floats(0.0, 30.0))
+def test_damped_system_gives_up_nothing_of_joints_that_have_the_task(size, seed, fraction, speed):
+    """Of a right side J a the solution is a, however small a singular value, where a leads."""
+    random = np.random.default_rng(seed)
+    X, Y = (np.linalg.qr(random.normal(size=(size, size)))[0] for _ in range(2))
+    values = random.uniform(0.5, 2.0, size)
+    values[-1] = fraction * linear.SINGULAR_VALUE_FLOOR
+    J, a, dq = (X * values) @ Y, random.normal(size=size), speed * Y[-1]
+    Z, c = linear.damped_system(J, J @ a, dq, a)
+    np.testing.assert_allclose(Z.T @ c, a, atol=1e-12)
+
+
 # -- walking ---------------------------------------------------------------------------------------------------------
 
 

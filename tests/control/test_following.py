@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from checks import planar
 
 from eos_pin import (
     Atlas,
     ControlLoop,
+    Damp,
     EosController,
     FollowJoints,
     FollowPlan,
@@ -19,7 +22,11 @@ from eos_pin import (
     MujocoPlant,
     PoseTask,
     PositionTask,
+    SumObjective,
+    Target,
+    Task,
     TaskForce,
+    Trajectory,
     circle,
     journey,
     load_robot,
@@ -57,6 +64,41 @@ def elsewhere(panda):
         (panda.lower, panda.upper),
     )
     return made, next(q for q in Q[:, good].T if abs(q[0] - start[0]) > 1.5)
+
+
+@dataclass
+class PathOfJoints(Trajectory):
+    """The task path of joints over time."""
+
+    task: Task
+    joints: Callable
+
+    def __call__(self, t):
+        q, dq, ddq = self.joints(t)
+        point = self.task.at(q, dq)
+        return Target(point.z, point.dz, point.J @ ddq + point.drift)
+
+
+@pytest.mark.parametrize("away", [0.0, 0.1])
+@pytest.mark.parametrize("law", [lambda law: law, lambda law: SumObjective([Damp(0.0), law])])
+def test_joints_are_followed_through_a_singularity_of_the_task(away, law):
+    """At t = 0.5 s a planar arm is straight, and its tip can no longer move along it."""
+    robot = planar(*[pin.JointModelRZ()] * 4)
+    task = PositionTask(robot, "tip", axes="xy")
+    middle, bent = np.array([0.3, 0.0, 0.0, 0.0]), np.array([0.5, 0.8, -1.0, 0.6])
+    assert np.linalg.svd(task.at(middle, 0.0 * middle).J, compute_uv=False)[-1] < 1e-12
+
+    def joints(t):
+        s = t - 0.5
+        return middle + bent * np.sin(s), bent * np.cos(s), -bent * np.sin(s)
+
+    q, dq, _ = joints(0.0)
+    controller = EosController(task, PathOfJoints(task, joints), law(FollowJoints(joints)))
+    run = simulate(robot, controller, q + away * bent, dq=dq, duration=2.0, rtol=1e-8, atol=1e-10)
+    assert np.abs(run.q[-1] - joints(float(run.t[-1]))[0]).max() < 1e-6
+    if not away:
+        assert np.abs(run.error).max() < 1e-6
+        assert run.message == ""
 
 
 @pytest.mark.parametrize("kind", [EosController, LimitedEosController])
