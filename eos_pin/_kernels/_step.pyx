@@ -28,7 +28,7 @@ cdef class KinematicStep(AccelerationMap):
     Args:
         drive: Arguments of the `AccelerationMap`.
         chain: Kinematics of the task.
-        chart: Base point of the chart, (n,), and v less Vᵀ q, (r,).
+        chart: Base point of the chart, (n,), and v less Wᵀ q, (r,).
         continuous: Which joints turn without end, (n,).
         turn, threshold: Angle from the base point, and margin, at which a chart is left.
         serves: Whether the chart serves where the Jacobian is the argument, for where the margin's bound is too low.
@@ -152,7 +152,7 @@ cdef class KinematicStep(AccelerationMap):
             if asked is not None:
                 self.F[m + k] = data(asked)[k]
             else:
-                v, moved = dot(self.Vt + k * n, q, n) + self.v_zero[k], h * dot(self.Vt + k * n, u, n)
+                v, moved = dot(self.Wt + k * n, q, n) + self.v_zero[k], h * dot(self.Wt + k * n, u, n)
                 left = self.b1[k] * (self.v_d[k] - v) - self.b2[k] * (self.v_d[k] - v + moved)
                 self.F[m + k] = (self.v_d[k] - left - v - moved) / (h * h)
             if more is not None:

@@ -122,25 +122,32 @@ cdef class AccelerationMap:
     """`plain_law.AccelerationMap`.
 
     Args:
-        Vt: Transposed basis V of the null space at the base point, (r, n).
-        Qt: Transposed orthonormal basis Q of the row space there, (m, n).
+        Wt: Rows Wᵀ that make dv of dq, (r, n).
+        Vt: Transposed basis V of the null space at the base point, (r, n); Wt itself where they are equal.
+        Qt: Transposed orthonormal basis Q of the columns of U, (m, n).
+        factors: T and Y of the margin, (m, m) and (r, n); None where they are I and Vt.
         most: Square of the size of U B from which directions may fade.
         fast: Joint speed from which they fade earlier.
         runaway, braking: Joint speed beyond which self-motion is braked, and how much.
     """
 
-    def __init__(self, Vt, Qt, double most, double fast, double runaway, double braking):
-        self.made_from = Vt, Qt, most, fast, runaway, braking
+    def __init__(self, Wt, Vt, Qt, factors, double most, double fast, double runaway, double braking):
+        self.made_from = Wt, Vt, Qt, factors, most, fast, runaway, braking
         self.m, self.n = Qt.shape
         self.runaway, self.braking = runaway, braking
         m, n, self.room, self.most, self.fast = self.m, self.n, 16 * self.m, most, fast
-        self.kept = *(np.array(basis, dtype=float, order="C") for basis in (Vt, Qt)), *map(
+        self.kept = *(np.array(basis, dtype=float, order="C") for basis in (Wt, Qt)), *map(
             aligned, (m * n, n, m * m, m, self.room)
         ), np.empty(m, np.intc)
-        self.Vt, self.Qt, self.J, self.F, self.A, self.x, self.work = (
+        # Where W and V are equal one array stands for both.
+        self.others = () if Vt is Wt else tuple(np.array(table, dtype=float, order="C") for table in (Vt, *factors))
+        self.Wt, self.Qt, self.J, self.F, self.A, self.x, self.work = (
             data(self.kept[0]), data(self.kept[1]), data(self.kept[2]), data(self.kept[3]), data(self.kept[4]),
             data(self.kept[5]), data(self.kept[6]),
         )
+        self.Vt, self.T, self.Yt = self.Wt, NULL, self.Wt
+        if self.others:
+            self.Vt, self.T, self.Yt = data(self.others[0]), data(self.others[1]), data(self.others[2])
         self.pivots = <int*>cnp.PyArray_DATA(self.kept[7])
 
     def __reduce__(self):
@@ -174,7 +181,7 @@ cdef class AccelerationMap:
             return UNDECIDED, ddq, 0.0
         if speed > self.runaway:
             for k in range(r):
-                self.F[m + k] -= self.braking * (speed - self.runaway) * dot(self.Vt + k * n, dq, n)
+                self.F[m + k] -= self.braking * (speed - self.runaway) * dot(self.Wt + k * n, dq, n)
         cdef double *x = data(ddq)
         for j in range(n):
             x[j] = 0.0
@@ -189,15 +196,22 @@ cdef class AccelerationMap:
                 part += A[k + m * i] * self.F[i]
             for j in range(n):
                 x[j] += self.Qt[k * n + j] * part
-        # The squares of D = V − Q (JQ)⁻¹ J V, beyond those of V.
+        # The squares of D = V − Q (JQ)⁻¹ J V, beyond those of V; of T (JQ)⁻¹ J Y where the metric is not the identity.
         for k in range(r):
             for i in range(m):
-                self.x[i] = dot(self.J + i * n, self.Vt + k * n, n)
+                self.x[i] = dot(self.J + i * n, self.Yt + k * n, n)
             for i in range(m):
                 part = 0.0
                 for j in range(m):
                     part += A[i + m * j] * self.x[j]
-                beyond += part * part
+                if self.T is NULL:
+                    beyond += part * part
+                else:
+                    self.F[i] = part
+            if self.T is not NULL:
+                for i in range(m):
+                    part = dot(self.T + i * m, self.F, m)
+                    beyond += part * part
         return DONE, ddq, 1.0 / sqrt(1.0 + beyond)
 
 
@@ -208,7 +222,7 @@ cdef class TrackingLaw(AccelerationMap):
         of_map: The arguments of the `AccelerationMap`.
         kp, kd: Gains of the task, (m,).
         kp_v, kd_v: Gains of the self-motion, (r,).
-        v: Where Vᵀ q should be, (r,).
+        v: Where Wᵀ q should be, (r,).
         at: `Task.at`, or the `Frame` of the task.
         minus: Difference of two task points; None for a vector task.
     """
@@ -261,8 +275,8 @@ cdef class TrackingLaw(AccelerationMap):
             )
         for i in range(r):
             self.F[m + i] = (
-                self.kp_v[i] * (self.v[i] - dot(self.Vt + i * n, data(q), n))
-                - self.kd_v[i] * dot(self.Vt + i * n, data(dq), n)
+                self.kp_v[i] * (self.v[i] - dot(self.Wt + i * n, data(q), n))
+                - self.kd_v[i] * dot(self.Wt + i * n, data(dq), n)
             )
             if more is not None:
                 self.F[m + i] += data(more)[i]

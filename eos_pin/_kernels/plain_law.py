@@ -103,8 +103,10 @@ class AccelerationMap:
     """Joint accelerations for commanded accelerations of (z, v) on one chart, wherever nothing fades.
 
     Args:
-        Vt: Transposed basis V of the null space at the base point, (r, n).
-        Qt: Transposed orthonormal basis Q of the row space there, (m, n).
+        Wt: Rows Wᵀ that make dv of dq, (r, n).
+        Vt: Transposed basis V of the null space at the base point, (r, n); Wt itself where they are equal.
+        Qt: Transposed orthonormal basis Q of the columns of U, (m, n).
+        factors: T and Y of the margin, (m, m) and (r, n); None where they are I and Vt.
         most: Square of the size of U B from which directions may fade.
         fast: Joint speed from which they fade earlier.
         runaway: Joint speed beyond which self-motion is braked.
@@ -113,19 +115,21 @@ class AccelerationMap:
 
     def __init__(
         self,
+        Wt: Float[Array, "r n"],
         Vt: Float[Array, "r n"],
         Qt: Float[Array, "m n"],
+        factors: tuple[Array, Array] | None,
         most: float,
         fast: float,
         runaway: float,
         braking: float,
     ) -> None:
-        self._made_from: tuple[Any, ...] = Vt, Qt, most, fast, runaway, braking
+        self._made_from: tuple[Any, ...] = Wt, Vt, Qt, factors, most, fast, runaway, braking
         self.m, self.n = Qt.shape
-        self.r, self.Vt = self.n - self.m, np.ascontiguousarray(Vt)
+        self.r, self.Wt, self._Qt, self._factors = self.n - self.m, np.ascontiguousarray(Wt), Qt, factors
         self._most, self._fast, self._runaway, self._braking = most, fast**2, runaway**2, braking
-        # [G'; Vᵀ] and its rows for G', in the order that LAPACK takes.
-        self._A = np.asfortranarray(np.vstack((Qt, Vt)))
+        # [G'; Wᵀ] and its rows for G', in the order that LAPACK takes.
+        self._A = np.asfortranarray(np.vstack((Qt, Wt)))
         self._G, self._identity = self._A[: self.m], np.asfortranarray(np.eye(self.n))
         self._cut, self._nothing = self.m * self.n, np.full(self.n, math.nan)
 
@@ -148,7 +152,7 @@ class AccelerationMap:
         square = float(dq.dot(dq))
         if square > self._runaway:
             F, speed = F.copy(), math.sqrt(square)
-            F[self.m :] -= self._braking * (speed - math.sqrt(self._runaway)) * self.Vt.dot(dq)
+            F[self.m :] -= self._braking * (speed - math.sqrt(self._runaway)) * self.Wt.dot(dq)
         _, _, H, info = dgesv(self._A, self._identity)
         # H = [U B, D], column by column.
         entries = H.ravel("K")
@@ -161,8 +165,15 @@ class AccelerationMap:
             return UNDECIDED, self._nothing, 0.0
         # The singular values of D are the inverse cosines of the angles that `Chart.margin` speaks of; all are at least
         # 1, so the largest is at most what their squares leave beyond the others.
-        beyond = float(D.dot(D)) - self.r
+        beyond = float(D.dot(D)) - self.r if self._factors is None else self._tangents(H)
         return DONE, H.dot(F), 1.0 / math.sqrt(1.0 + beyond) if beyond > 0.0 else 1.0
+
+    def _tangents(self, H: Float[Array, "n n"]) -> float:
+        """The same in the metric: the squares of T (G'Q)⁻¹ G'Yᵀ, where (G'Q)⁻¹ = QᵀU B."""
+        assert self._factors is not None
+        T, Y = self._factors
+        X = T.dot(self._Qt.dot(H[:, : self.m]).dot(self._G.dot(Y.T))).ravel()
+        return float(X.dot(X))
 
 
 class TrackingLaw(AccelerationMap):
@@ -174,14 +185,14 @@ class TrackingLaw(AccelerationMap):
         kd: Gain on the task's velocity error, (m,).
         kp_v: Gain on v, (r,).
         kd_v: Gain on dv, (r,).
-        v: Where Vᵀ q should be, (r,).
+        v: Where Wᵀ q should be, (r,).
         at: `Task.at`, or the `Frame` of the task.
         minus: Difference of two task points; None for a vector task.
     """
 
     def __init__(
         self,
-        of_map: tuple[Array, Array, float, float, float, float],
+        of_map: tuple[Array, Array, Array, tuple[Array, Array] | None, float, float, float, float],
         kp: TaskVector,
         kd: TaskVector,
         kp_v: SelfMotionVector,
@@ -195,14 +206,14 @@ class TrackingLaw(AccelerationMap):
         self._look, self._minus = at.look if isinstance(at, Frame) else None, minus
         # A compiled frame is no function, but has one.
         self._at = at if callable(at) else at.at
-        # F = K x for x = (z_d − z, Vᵀq, dw, dz_d, ddz_d, drift, 1): one product instead of a sum of many terms.
+        # F = K x for x = (z_d − z, Wᵀq, dw, dz_d, ddz_d, drift, 1): one product instead of a sum of many terms.
         task, v_rows = np.eye(self.n)[:, : self.m], np.eye(self.n)[:, self.m :]
         K = (task * kp, v_rows * np.negative(kp_v), np.diag(np.negative((*kd, *kd_v))), task * kd, task, -task)
         self._K = np.hstack((*K, (v_rows * kp_v).dot(v)[:, None]))
         # Workspaces, and the parts of x.
         self._F, self._x = np.zeros(self.n), np.ones(self._K.shape[1])
         parts = np.split(self._x, np.cumsum([part.shape[1] for part in K]))
-        self._error, self._Vq, self._dw, self._dz_d, self._ddz_d, self._drift, _ = parts
+        self._error, self._Wq, self._dw, self._dz_d, self._ddz_d, self._drift, _ = parts
         self._v_F = self._F[self.m :]
 
     def __call__(  # type: ignore[override]
@@ -234,7 +245,7 @@ class TrackingLaw(AccelerationMap):
             subtract(z_d, z, self._error)
         else:
             self._error[:] = self._minus(z_d, z)
-        self.Vt.dot(q, self._Vq)
+        self.Wt.dot(q, self._Wq)
         self._A.dot(dq, self._dw)
         self._dz_d[:], self._ddz_d[:], self._drift[:] = dz_d, ddz_d, drift
         self._K.dot(self._x, F)

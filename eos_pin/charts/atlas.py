@@ -30,6 +30,7 @@ from eos_pin._arrays import (
 )
 from eos_pin.charts._newton import Inverse, walk
 from eos_pin.charts.chart import Chart
+from eos_pin.charts.metric import MetricLike, checked_metric
 from eos_pin.charts.search import Search
 from eos_pin.charts.solutions import STRATEGIES, IkSolution, JointPath, Strategy
 from eos_pin.errors import InputError, InverseError, Renamed, SingularError
@@ -51,16 +52,21 @@ class Atlas(Checked):
             the same motion.
         max_iterations: In `follow`, a chart is also left where Newton's method needs more steps than this, which is the
             paper's own rule (Sec. 3.1).
+        metric: Metric of every chart: `"identity"`, as in the paper; `"inertial"`, the mass matrix at its base; a
+            symmetric positive (n, n) matrix, or a function of the base joints that returns one. See `Chart.from_base`.
 
     Raises:
-        InputError: The threshold is not between 0 and 1.
+        InputError: The threshold is not between 0 and 1, or the metric is not one for the task's robot.
+        RobotError: The metric is `"inertial"`, and the robot has no valid inertia.
     """
 
     task: Task
     threshold: float = 0.5
     max_iterations: int = 8
+    metric: MetricLike = "identity"
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "metric", checked_metric(self.metric, self.task.robot))
         number(self.threshold, "threshold", above=0.0)
         if self.threshold >= 1.0:
             raise InputError(f"threshold must be below 1, where charts end at once; got {self.threshold}")
@@ -68,12 +74,12 @@ class Atlas(Checked):
     @checked
     def start(self, q: JointsLike) -> Chart:
         """First chart, based at q with v = 0."""
-        return Chart.from_base(self.task, q)
+        return Chart.from_base(self.task, q, metric=self.metric)
 
     @checked
     def next(self, chart: Chart, q: JointsLike) -> Chart:
-        """Chart based at q that continues v from `chart`; Eq. (27)."""
-        return Chart.from_base(self.task, q, previous=chart)
+        """Chart based at q that continues v from `chart`, whose metric may be another; Eq. (27)."""
+        return Chart.from_base(self.task, q, metric=self.metric, previous=chart)
 
     @checked
     def holds(self, chart: Chart, J: Jacobian, q: JointVector | None = None) -> bool:
@@ -206,7 +212,7 @@ class Atlas(Checked):
         v = None if v is None else vector(v, q.size - self.task.m, "v")
         if points < 1 or tries < 0:
             raise InputError(f"points must be at least 1 and tries at least 0, got {points} and {tries}")
-        return Search(self.task, self.follow, q, z, v, chart, points, tries, seed, tol).best(strategies)
+        return Search(self.task, self.follow, self.start, q, z, v, chart, points, tries, seed, tol).best(strategies)
 
     _holds, _serves = unchecked(holds), unchecked(serves)
     reach = Renamed("solve")

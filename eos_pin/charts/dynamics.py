@@ -6,6 +6,8 @@ Eqs. (5)–(9), is what traditional task-space control is built on; its terms de
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,9 +18,12 @@ from jaxtyping import Float
 from eos_pin._arrays import Array, JointVector, TaskVector, checked
 from eos_pin.charts._basis import rank_of
 from eos_pin.charts.chart import Chart, ChartPoint
-from eos_pin.errors import Renamed, SingularError
+from eos_pin.errors import EosError, Renamed, SingularError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import TaskPoint
+
+#: States of a run whose inertial coupling is looked at, about.
+COUPLINGS = 50
 
 
 @checked
@@ -54,6 +59,19 @@ class ExtendedDynamics:
         # M E − R is the torque of the acceleration E.
         return self.point.H.T @ self.robot._inverse_dynamics(self.point.q, self.point.dq, self.point.E)
 
+    @cached_property
+    def coupling(self) -> float:
+        """Inertial coupling of z and v, between 0 and 1: the largest singular value of L_z⁻¹ M_zv L_v⁻ᵀ.
+
+        M_zv is the block of `mass` beside M_zz = L_z L_zᵀ and M_vv = L_v L_vᵀ. It is the cosine of the least angle, in
+        the metric M, between joint motions that move z only and those that move v only; 0 at the base point of a chart
+        whose metric is `"inertial"`, and in general nowhere else.
+        """
+        # In coordinates in which M is the identity these motions are the spans of two bases.
+        root = np.linalg.cholesky(self.robot._mass(self.point.q)).T
+        task, self_motion = (np.linalg.qr(root @ X)[0] for X in (self.point.chart.U, self.point.D))
+        return float(np.linalg.svd(task.T @ self_motion, compute_uv=False).max(initial=0.0))
+
     @checked
     def force(self, tau: JointVector, task_force: TaskVector | None = None) -> JointVector:
         """Generalized force on w of joint torques and of a force F^z on the task; right side of Eq. (26).
@@ -81,8 +99,23 @@ class ExtendedDynamics:
         if task_force is not None:
             tau = tau + J.T @ task_force
         ddq = self.robot._forward_dynamics(point.q, point.dq, tau)
-        # H⁻¹ = [G'; Vᵀ] and −H⁻¹E = (Ġ' dq, 0)
+        # H⁻¹ = [G'; Wᵀ] and −H⁻¹E = (Ġ' dq, 0)
         return np.concatenate((J @ ddq + point.task.drift, point.chart._dv(ddq)))
+
+
+def couplings(robot: Robot, states: Sequence[tuple[Chart, JointVector]]) -> dict[str, float] | None:
+    """Median and maximum of `ExtendedDynamics.coupling` along a motion; None without self-motion or without inertia.
+
+    Args:
+        robot: Robot whose inertia counts.
+        states: Charts and joints; of many, some are looked at.
+    """
+    values = []
+    for chart, q in states[:: 1 + len(states) // COUPLINGS]:
+        with suppress(EosError):  # on the edge of a chart there is none, nor without inertia
+            if chart.r:
+                values.append(ExtendedDynamics.from_state(robot, chart, q, np.zeros(q.size)).coupling)
+    return {"median": float(np.median(values)), "max": max(values)} if values else None
 
 
 @checked

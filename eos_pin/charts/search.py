@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
@@ -37,6 +37,7 @@ class Search:
     Attributes:
         task: The task.
         follow: Continuation along a path.
+        start: Chart based at joints.
         q: Joints to start from.
         z: Task point.
         v: Self-motion coordinates there; None for their value at q.
@@ -49,6 +50,7 @@ class Search:
 
     task: Task
     follow: Follower
+    start: Callable[[JointVector], Chart]
     q: JointVector
     z: Point
     v: SelfMotionVector | None
@@ -100,7 +102,7 @@ class Search:
             for s in np.arange(1, self.points + 1) / self.points
         ]
         try:
-            chart = self.chart or Chart.from_base(task, q)
+            chart = self.chart or self.start(q)
             v0 = chart._v(q)
             v_path = v0 if v is None else v0 + np.linspace(0.0, 1.0, len(path))[:, None] * (v - v0)
             found = self.follow(q, np.array(path), v=v_path, chart=chart, tol=self.tol)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,6 +38,7 @@ class Findings:
         task: The task, None where it does not fit the robot.
         z: Task point at the start.
         sigma: Singular values of G' at the start.
+        coupling: Inertial coupling of task and self-motion by metric of the chart: at the start, and around it.
         cannot: Abilities that are missing, by `"task"`, `"chart"`, `"dynamics"` and `"path"`, and why.
     """
 
@@ -44,6 +46,7 @@ class Findings:
     task: Task | None = None
     z: Array | None = None
     sigma: Array = field(default_factory=lambda: np.zeros(0))
+    coupling: dict[str, dict[str, float]] = field(default_factory=dict)
     cannot: dict[str, str] = field(default_factory=dict)
 
 
@@ -75,6 +78,7 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
         r = machine.n - goal.m
         lines.append(f"Task: {goal!r}: m = {goal.m}, redundancy r = n - m = {r}")
         lines.append(f"Singular values of G' at the start: {', '.join(format_number(s) for s in found.sigma)}")
+        lines += [_told(found.coupling)] if found.coupling else []
         lines += ["The task takes all joints (r = 0): there is no self-motion to command"] if r == 0 else []
     lines.append(f"Ends of branches: {', '.join(leaf_frames(machine))}")
     lines.append(f"All frames: {', '.join(machine.frames)}")
@@ -95,6 +99,7 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
         "start": q,
         "z": found.z,
         "singular_values": found.sigma,
+        "coupling": found.coupling,
         "singular": found.cannot.get("chart", ""),
         "cannot": found.cannot,
         "frames": machine.frames,
@@ -108,6 +113,7 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
 def _find_out(robot: Robot, options: TaskOptions) -> Findings:
     """Try one thing after the other, from kinematics to a path; each failure is kept, and none ends it."""
     from eos_pin.charts.chart import Chart
+    from eos_pin.experiments.coupling import coupling_around
 
     cannot: dict[str, str] = {}
     if robot.lacks_dynamics:
@@ -122,17 +128,27 @@ def _find_out(robot: Robot, options: TaskOptions) -> Findings:
         zero = np.clip(np.zeros(robot.n), robot.lower, robot.upper)
         return Findings(zero, cannot={"task": str(error)} | cannot)
     z, J = task.linearize(q)
-    found = Findings(q, task, z, np.linalg.svd(J, compute_uv=False), cannot)
+    found = Findings(q, task, z, np.linalg.svd(J, compute_uv=False), cannot=cannot)
     try:
         Chart.from_base(task, q)
     except SingularError as error:
         found.cannot = {"chart": str(error)} | cannot
         return found
+    if task.m < robot.n and not robot.lacks_dynamics:
+        for metric in ("identity", "inertial"):
+            base, near = coupling_around(task, q, metric)
+            found.coupling[metric] = {"start": base, "around": float(np.median(near)) if near else math.nan}
     try:
         PathOptions(path="eight" if "m" in task.units else "hold").make(task, q)
     except EosError as error:
         cannot["path"] = str(error)
     return found
+
+
+def _told(coupling: dict[str, dict[str, float]]) -> str:
+    """Sentence about the coupling with each metric."""
+    words = (f"{found['start']:.2f} and {found['around']:.2f} with --metric {name}" for name, found in coupling.items())
+    return f"Inertial coupling of task and self-motion at the start, and 0.3 rad or m around it: {', '.join(words)}"
 
 
 def _advice(robot: RobotOptions, task: TaskOptions, found: Findings) -> list[str]:

@@ -313,6 +313,9 @@ def run_table(summary: Mapping[str, Any]) -> Table:
         told = f"{format_number(apart['max'])} rad or m, at the end {format_number(apart['end'])}"
         table.add_row("joints off the plan, at most", told)
     table.add_row("chart switches", str(summary["chart_switches"]))
+    if summary["coupling"]:
+        told = f"median {summary['coupling']['median']:.2f}, at most {summary['coupling']['max']:.2f}"
+        table.add_row("inertial coupling of task and self-motion", told)
     if summary["given_up_seconds"]:
         table.add_row("part of the task given up", f"{format_number(summary['given_up_seconds'])} s")
     for what, key, unit in (

@@ -66,6 +66,7 @@ class SweepAxes:
         kp_self_motion: Gain on the self-motion error [1/s²].
         kd_self_motion: Gain on the self-motion's velocity error [1/s].
         chart_margin: A chart is left where its margin falls to this, between 0 and 1.
+        metric: Metric of the charts, identity or inertial.
         payload: Mass carried at the frame [kg].
         control_rate: Control periods per second; by default the run is continuous [Hz].
         noise: Standard deviation of measured joints [rad or m], and of measured velocities ten times that per second.
@@ -85,6 +86,7 @@ class SweepAxes:
     kp_self_motion: Numbers = (ControlOptions.kp_self_motion,)
     kd_self_motion: Numbers = (ControlOptions.kd_self_motion,)
     chart_margin: Numbers = (ControlOptions.chart_margin,)
+    metric: Words = (ControlOptions.metric,)
     payload: Numbers = (RobotOptions.payload,)
     control_rate: Numbers = ()
     noise: Numbers = (RunOptions.noise,)

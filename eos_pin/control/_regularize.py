@@ -11,7 +11,6 @@ import numpy as np
 from scipy.linalg import lapack
 
 from eos_pin._arrays import (
-    Array,
     Jacobian,
     JointVector,
     SelfMotionVector,
@@ -20,7 +19,8 @@ from eos_pin._arrays import (
 from eos_pin._kernels import plain_law
 from eos_pin._kernels.dispatch import DONE, use_compiled
 from eos_pin.charts._basis import DENSE
-from eos_pin.charts.chart import DENSE_SOLVE, EDGE, Chart
+from eos_pin.charts.chart import Chart
+from eos_pin.charts.directions import DENSE_SOLVE, EDGE
 from eos_pin.errors import ChartError
 
 #: Returns the accelerations of joints that are followed; None where none are.
@@ -98,9 +98,11 @@ class AccelerationMap:
         return MapKernel(*self._made_from) if self.chart.n <= DENSE else None
 
     @property
-    def _made_from(self) -> tuple[Array, Array, float, float, float, float]:
+    def _made_from(self) -> tuple[Any, ...]:
         most, runaway = (self.most, OVERSPEED) if self.smooth else (math.inf, math.inf)
-        return self.chart.Vt, self.chart.row_basis.T, most, FAST_SPEED, runaway, OVERSPEED_DAMPING
+        chart = self.chart
+        factors = chart._margin_factors
+        return chart.Wt, chart.Vt, chart.u_basis.T, factors, most, FAST_SPEED, runaway, OVERSPEED_DAMPING
 
     def __call__(
         self, J: Jacobian, F: JointVector, dq: JointVector, lead: Lead = lambda: None
@@ -114,7 +116,7 @@ class AccelerationMap:
             lead: Asked for the accelerations of joints that are followed, where a direction fades; None to brake it.
 
         Raises:
-            ChartError: [G'; Vᵀ] is singular, and nothing fades.
+            ChartError: [G'; Wᵀ] is singular, and nothing fades.
         """
         if self._kernel is None:
             return self._for_many_joints(J, F, dq, lead), 0.0
@@ -138,7 +140,7 @@ class AccelerationMap:
         if self._kernel is None or task.is_curved:
             return None
         at, minus = task.kernel or task._at, None if task.is_vector else task._minus
-        held = v_d + self.chart.basis.project(self.chart.q_bar) - self.chart.v_bar
+        held = v_d - self.chart._v_zero
         return LawKernel(self._made_from, kp, kd, kp_v, kd_v, held, at, minus)
 
     def margin(self, J: Jacobian, enough: float) -> float:
@@ -155,13 +157,13 @@ class AccelerationMap:
         if not (math.isfinite(J.sum()) and math.isfinite(dq.dot(dq))):
             return self._near_singularity(J, F, dq, lead)
         lifted = chart.basis.apply(self._braked(F, dq)[m:])
-        JQ = J.dot(chart.row_basis)
+        JQ = J.dot(chart.u_basis)
         LU, pivots, info = lapack.dgetrf(JQ)
         B, singular = lapack.dgetri(LU, pivots)
         UB = B.ravel("K")
         if info or singular or (self.smooth and not UB.dot(UB) * speed_ratio_squared(dq) < self.most):
             return self._near_singularity(J, F, dq, lead)
-        return lifted + chart.row_basis.dot(B.dot(F[:m] - J.dot(lifted)))
+        return lifted + chart.u_basis.dot(B.dot(F[:m] - J.dot(lifted)))
 
     def _braked(self, F: JointVector, dq: JointVector) -> JointVector:
         """F, with self-motion of joints that are about to run away braked."""
@@ -182,11 +184,11 @@ class AccelerationMap:
     def _faded(self, J: Jacobian, F: JointVector, dq: JointVector, a: JointVector | None) -> JointVector:
         """The acceleration where the task may be singular."""
         chart = self.chart
-        m, Q = chart.m, chart.row_basis
+        m, Q = chart.m, chart.u_basis
         Y, c = damped_system(J / self._units[:, None], F[:m] / self._units, dq, a)
         # Once more for the self-motion: a chart that is worn and cannot be renewed, and joints far too fast.
         if chart.n <= DENSE_SOLVE:
-            X, x = damped_system(np.vstack((Y, chart.Vt)), np.concatenate((c, F[m:])), dq, a)
+            X, x = damped_system(np.vstack((Y, chart.Wt)), np.concatenate((c, F[m:])), dq, a)
             return X.T @ x
         lifted = chart.basis.apply(F[m:])
         X, x = damped_system(Y @ Q, c - Y @ lifted, Q.T @ dq, None if a is None else Q.T @ a)

@@ -15,7 +15,7 @@ import numpy as np
 from eos_pin._arrays import JointVector, Vector
 from eos_pin._kernels.dispatch import kernels
 from eos_pin.charts.atlas import Atlas
-from eos_pin.charts.chart import TURN
+from eos_pin.charts.directions import TURN
 from eos_pin.control.limited import JointLimits
 from eos_pin.control.objectives import Objective
 from eos_pin.control.state import EosState

@@ -25,6 +25,7 @@ from eos_pin._kernels.dispatch import DONE
 from eos_pin._kernels.overrides import stands_for
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
+from eos_pin.charts.metric import metric_name
 from eos_pin.control._regularize import AccelerationMap
 from eos_pin.control.base import ControlReport, TaskController
 from eos_pin.control.objectives import Objective, Track
@@ -38,7 +39,7 @@ class EosController(TaskController):
     """Computed torque in extended operational space: task and self-motion on laws of their own.
 
     F^y = M(H F* + E) − R, Eqs. (35), (44), with the task part of F* from Eqs. (36), (45) and its self-motion part from
-    an objective. H F* + E is the acceleration ddq that solves [G'; Vᵀ] ddq = (F_z − Ġ'dq, F_v), so the torque is
+    an objective. H F* + E is the acceleration ddq that solves [G'; Wᵀ] ddq = (F_z − Ġ'dq, F_v), so the torque is
     the inverse dynamics of it and no mass matrix is formed. With an exact model, task and self-motion errors obey
     ε̈ + kd ε̇ + kp ε = 0 independently of each other.
 
@@ -251,6 +252,7 @@ class EosController(TaskController):
         return super().describe() | {
             "self_motion": type(self.self_motion).__name__,
             "threshold": self.atlas.threshold,
+            "metric": metric_name(self.atlas.metric),
             "smooth": self.smooth,
         }
 

@@ -1,6 +1,6 @@
 """Objectives of the self-motion: laws for F_v, the self-motion part of F* in Eqs. (36), (39), (41), (45).
 
-An objective never disturbs the task: whatever acceleration it asks of v, the chart's [G'; Vᵀ] keeps z on its own law.
+An objective never disturbs the task: whatever acceleration it asks of v, the chart's [G'; Wᵀ] keeps z on its own law.
 """
 
 from __future__ import annotations
@@ -269,7 +269,7 @@ def posture_value(law: Any, name: str, value: Any) -> Any:
 
 
 class Posture(Objective):
-    """Draw the joints towards a posture, as far as the task allows: F_v = Vᵀ(kp (q_rest − q) − kd dq).
+    """Draw the joints towards a posture, as far as the task allows: F_v = Wᵀ(kp (q_rest − q) − kd dq).
 
     Continuous joints go the shorter way round, see `Robot.way`. `q`, `kp` and `kd` may be assigned at any time.
 
@@ -320,7 +320,7 @@ class ReduceKineticEnergy(Objective):
             raise InputError(f"gradient must be 'velocity' or 'configuration', got {self.gradient!r}")
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        return -self.gain * chart._dv(self.energy_gradient(q, dq))
+        return -self.gain * chart._along(self.energy_gradient(q, dq))
 
     @checked
     def energy_gradient(self, q: JointVector, dq: JointVector) -> JointVector:
@@ -353,7 +353,7 @@ class DescendPotential(Objective):
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         slope = vector_of("gradient of a DescendPotential", q.size, self.gradient, q)
-        return chart._dv(-self.gain * slope - self.kd * dq)
+        return chart._along(-self.gain * slope) - self.kd * chart._dv(dq)
 
 
 class SumObjective(Objective):

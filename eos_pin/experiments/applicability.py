@@ -75,7 +75,7 @@ RULES = (
     Rule(("cycles",), lambda s: s["duration"] is None, "the duration is given; leave one of them out"),
     Rule(("cycles",), lambda s: s["path"] != "hold", "a robot that holds still has no rounds; give --duration"),
     Rule(
-        ("self_motion", "v", "swing", "kp", "kd", "kp_self_motion", "kd_self_motion", "chart_margin"),
+        ("self_motion", "v", "swing", "kp", "kd", "kp_self_motion", "kd_self_motion", "chart_margin", "metric"),
         lambda s: s["controller"] in EOS,
         "traditional controllers have gains and null-space laws of their own; use --controller eos or eos-limited",
     ),

@@ -54,7 +54,7 @@ def commanded_loop(
         limits=JointLimits.without_torques(task.robot, acceleration=control.acceleration),
         kp=control.kp,
         kd=control.kd,
-        atlas=Atlas(task, threshold=control.chart_margin),
+        atlas=Atlas(task, threshold=control.chart_margin, metric=control.metric),
     )
 
 

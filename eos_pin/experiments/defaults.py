@@ -187,7 +187,7 @@ def regularity(task: Task, q: JointVector, chart: Chart | None = None) -> float:
     """
     rows = _scaled(task, q)
     if chart is not None:
-        rows = np.concatenate((rows, chart.Vt))
+        rows = np.concatenate((rows, chart.Wt))
     return float(np.linalg.svd(rows, compute_uv=False)[-1])
 
 

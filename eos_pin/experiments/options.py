@@ -152,6 +152,8 @@ class ControlOptions:
         kp_self_motion: Gain on the self-motion error [1/s²].
         kd_self_motion: Gain on the self-motion's velocity error [1/s].
         chart_margin: A chart is left where its margin falls to this, between 0 and 1.
+        metric: Metric of the charts: that of the paper, or the mass matrix at their bases, which decouples task and
+            self-motion inertially there.
         command: Command that the robot takes: torque, or joint position or velocity, for which it needs no inertia and
             the task is tracked by a `KinematicLoop`, at 500 Hz unless said otherwise.
         acceleration: Largest acceleration of every joint where positions or velocities are commanded [rad/s² or m/s²].
@@ -166,6 +168,7 @@ class ControlOptions:
     kp_self_motion: float = 100.0
     kd_self_motion: float = 20.0
     chart_margin: float = 0.5
+    metric: Literal["identity", "inertial"] = "identity"
     command: Literal["torque", "position", "velocity"] = "torque"
     acceleration: float | None = None
 
@@ -196,7 +199,7 @@ class ControlOptions:
             )
         if self.controller in BASELINES:
             return BASELINES[self.controller](task, reference, q)
-        atlas = Atlas(task, threshold=self.chart_margin)
+        atlas = Atlas(task, threshold=self.chart_margin, metric=self.metric)
         if law is None:
             law = self._law(task, reference, q)
             if isinstance(task, ToleranceTask):
@@ -213,7 +216,7 @@ class ControlOptions:
 
         gains = {"kp": self.kp_self_motion, "kd": self.kd_self_motion}
         r = task.robot.n - task.m
-        named = ("v", "swing", "self_motion", "kp_self_motion", "kd_self_motion", "chart_margin")
+        named = ("v", "swing", "self_motion", "kp_self_motion", "kd_self_motion", "chart_margin", "metric")
         if not r and any(getattr(self, name) != getattr(ControlOptions, name) for name in named):
             options = ", ".join("--" + name.replace("_", "-") for name in named)
             raise InputError(

@@ -22,6 +22,7 @@ from eos_pin._arrays import (
     number,
 )
 from eos_pin.charts.chart import Chart
+from eos_pin.charts.dynamics import couplings
 from eos_pin.control.base import Controller
 from eos_pin.errors import ChartError, EosError, FunctionError, InputError, SingularError, take
 from eos_pin.robot.model import Robot
@@ -130,6 +131,7 @@ class Recorder:
             "task": task.describe() if task else None,
             "force_task": force.task.describe() if force else None,
             "controller": controller.describe(),
+            "coupling": couplings(plant, [(row.chart, row.q) for row in self._rows if row.chart]),
             "arguments": self.arguments,
             "cpu_seconds": cpu,
             "wall_seconds": wall,
@@ -168,8 +170,8 @@ class Recorder:
         q, dq = np.array([row.q for row in rows]), np.array([row.dq for row in rows])
         for chart, k in numbers.items():
             if chart:
-                v[number == k] = chart.v_bar + chart.basis.project((q[number == k] - chart.q_bar).T).T
-                dv[number == k] = chart.basis.project(dq[number == k].T).T
+                v[number == k] = chart.v_bar + chart.dual.project((q[number == k] - chart.q_bar).T).T
+                dv[number == k] = chart.dual.project(dq[number == k].T).T
         for k, row in enumerate(rows):
             target = controller._self_motion_target(row.t, row.state)
             if target is not None:

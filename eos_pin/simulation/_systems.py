@@ -208,7 +208,7 @@ class ExtendedSystem(System):
         rate = x[n : n + m]
         dx[:m] = task._local_rate(x[:m], rate, chart.z_bar) if task.is_curved else task._local_rate(x[:m], rate)
         dx[m:n] = x[n + m : 2 * n]
-        # ddw = H⁻¹ (ddq − E), H⁻¹ = [G'; Vᵀ], −H⁻¹E = (Ġ' dq, 0)
+        # ddw = H⁻¹ (ddq − E), H⁻¹ = [G'; Wᵀ], −H⁻¹E = (Ġ' dq, 0)
         dx[n : n + m] = point.J.dot(ddq) + point.drift
         dx[n + m : 2 * n] = chart._dv(ddq)
         dx[-1] = power
@@ -218,7 +218,7 @@ class ExtendedSystem(System):
         q = self._inverse(x).q
         chart, task = self.chart, self.atlas.task
         n, m = chart.n, chart.m
-        # dq = H dw without H: [G'; Vᵀ] dq = dw
+        # dq = H dw without H: [G'; Wᵀ] dq = dw
         return q, chart._acceleration(task._linearize(q)[1], x[n : n + m], x[n + m : 2 * n])
 
     def _inverse(self, x: Vector) -> Inverse:

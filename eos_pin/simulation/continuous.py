@@ -14,6 +14,7 @@ from eos_pin._arrays import (
     number,
 )
 from eos_pin.charts.atlas import Atlas
+from eos_pin.charts.metric import metric_name
 from eos_pin.control.base import Controller
 from eos_pin.errors import ChartError, InputError, renamed
 from eos_pin.robot.model import Robot
@@ -127,6 +128,7 @@ def simulate_extended(
     system = ExtendedSystem(plant, controller, task_force, atlas)
     x = system.begin(*_state(plant, q, dq))
     arguments = {"kind": "extended", "method": method, "rtol": rtol, "atol": rtol if atol is None else atol}
+    arguments["metric"] = metric_name(atlas.metric)
     return _integrate(system, x, duration, record_rate, arguments, observer)
 
 

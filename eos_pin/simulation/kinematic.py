@@ -12,6 +12,8 @@ from jaxtyping import Float
 from eos_pin._arrays import Array, JointVector, Vector, checked, number
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
+from eos_pin.charts.dynamics import couplings
+from eos_pin.charts.metric import metric_name
 from eos_pin.control.kinematic import KinematicLoop
 from eos_pin.control.objectives import Objective
 from eos_pin.errors import EosError, InputError, SingularError
@@ -101,12 +103,14 @@ def simulate_kinematic(
         "kind": "KinematicLoop",
         "self_motion": type(loop.self_motion).__name__,
         "threshold": loop.atlas.threshold,
+        "metric": metric_name(loop.atlas.metric),
     }
     run = joint_run(
         task, t, Q, np.array([path(s).z for s in t]), dq=dQ, period=path.period, status=status, message=message,
         ddq=ddQ, task_deficit=deficits[:, 0], deficit_from_limits=deficits[:, 1],
         **_self_motion(loop.self_motion, t, Q, dQ, charts), info={
             "controller": controller | {"kp": loop.kp.tolist(), "kd": loop.kd.tolist()}, "arguments": arguments,
+            "coupling": couplings(robot, list(zip(charts, Q, strict=True))),
             "cpu_seconds": time.process_time() - clock, "wall_seconds": time.perf_counter() - wall,
         },
     )  # fmt: skip

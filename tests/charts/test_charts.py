@@ -18,7 +18,7 @@ from eos_pin import (
     InverseError,
     SingularError,
 )
-from eos_pin.charts import _basis
+from eos_pin.charts import _basis, directions
 from eos_pin.charts import chart as charts
 from eos_pin.control import _regularize as linear
 
@@ -118,7 +118,7 @@ def test_acceleration_needs_neither_h_nor_e(task, data):
     arguments = point.task.J, ddw[: chart.m] - point.task.drift, ddw[chart.m :]
     np.testing.assert_allclose(chart.acceleration(*arguments), expected, atol=tolerance)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(charts, "DENSE_SOLVE", 0)
+        patch.setattr(directions, "DENSE_SOLVE", 0)
         np.testing.assert_allclose(chart.acceleration(*arguments), expected, atol=tolerance)
 
 
@@ -406,7 +406,7 @@ def test_edge_of_a_chart_and_a_singular_task_are_told_apart(chain):
         chart.B(flat)
     for limit in (0, 16):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(charts, "DENSE_SOLVE", limit)
+            patch.setattr(directions, "DENSE_SOLVE", limit)
             with pytest.raises(ChartError, match="edge of the chart"):
                 chart.acceleration(np.zeros_like(J), np.ones(2), np.ones(8))
 

@@ -45,12 +45,17 @@ def described(capsys, text, *words):
 def test_robot_that_lacks_nothing(capsys):
     said, found = described(capsys, arm())
     assert found["cannot"] == {}
+    coupling = found["coupling"]
+    assert coupling["inertial"]["start"] < 1e-12 < coupling["inertial"]["around"] < coupling["identity"]["around"]
+    assert "0.00 and" in said
+    assert "with --metric inertial" in said
     assert "Try: eos-pin track arm.urdf" in said
 
 
 def test_info_names_links_without_inertia(capsys):
     said, found = described(capsys, arm(inertial=""))
     assert list(found["cannot"]) == ["dynamics"]
+    assert found["coupling"] == {}
     assert (found["m"], found["r"], len(found["singular_values"])) == (3, 2, 3)
     assert "No dynamics, so no control" in said
     assert "give mass and inertia to links l1, l2, l3, l4, l5, tip" in said

@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from eos_pin import Chart, ChartError
-from eos_pin.charts import chart as charts
+from eos_pin.charts import directions as charts
 from eos_pin.control import _regularize as driving
 from eos_pin.control import _regularize as linear
 from eos_pin.control._regularize import AccelerationMap

@@ -7,7 +7,7 @@ import pickle
 import subprocess
 import sys
 import weakref
-from itertools import product
+from itertools import cycle, product
 
 import numpy as np
 import pinocchio as pin
@@ -15,6 +15,7 @@ import pytest
 from checks import EXACT, all_tasks, exact, random_state, tip
 
 from eos_pin import (
+    Atlas,
     Chart,
     EosController,
     Hold,
@@ -237,9 +238,9 @@ def test_parts_of_newtons_method_agree():
 def test_kernels_take_or_refuse_arrays_of_another_kind():
     """A task of one's own may return what it likes."""
     J, U, base = np.ones((2, 3)) + np.eye(2, 3), np.eye(3, 2), np.arange(3.0)
-    B, error = np.eye(2), np.array([1.0, 2.0])
+    B, error, rows = np.eye(2), np.array([1.0, 2.0]), np.eye(3)[2:]
     expected = kernels.newton_step(base, U, error, B, error)
-    drive = kernels.AccelerationMap(np.eye(3)[2:], np.eye(3)[:2], np.inf, 1.0, 1.0, 1.0)
+    drive = kernels.AccelerationMap(rows, rows, np.eye(3)[:2], None, np.inf, 1.0, 1.0, 1.0)
     for kind in (np.float32, int, np.longdouble):
         found = kernels.newton_step(base.astype(kind), U, error.astype(kind), B.astype(kind), error.astype(kind))
         for one, other in zip(found, expected, strict=True):
@@ -288,13 +289,15 @@ def test_acceleration_maps_agree(task):
         q_bar, _ = random_state(task.robot, random)
         if np.linalg.cond(task.linearize(q_bar)[1]) > 1e3:
             continue
-        drive = AccelerationMap(Chart.from_base(task, q_bar))
+        # Every other chart has a metric.
+        metric = ("identity", "inertial")[regular // 10 % 2]
+        drive = AccelerationMap(Chart.from_base(task, q_bar, metric=metric))
         compiled, plain = drive._kernel, plain_form(drive._kernel)
         for _ in range(10):
             J = task.linearize(q_bar + 0.3 * random.normal(size=task.robot.n))[1]
             F, dq = random.normal(size=task.robot.n), random.choice([1.0, 10.0]) * random.normal(size=task.robot.n)
             one, other = compiled(J, F, dq), plain(J, F, dq)
-            A = np.vstack((J, drive.chart.Vt))
+            A = np.vstack((J, drive.chart.Wt))
             if np.linalg.cond(A) < 1e6:
                 assert one[0] == other[0]
             if one[0] != DONE or other[0] != DONE:
@@ -311,14 +314,15 @@ def test_acceleration_maps_agree(task):
 def test_tracking_laws_agree(task):
     robot, random, regular = task.robot, np.random.default_rng(10), 0
     m, r = task.m, robot.n - task.m
-    variants = list(product([True, False], [True, False]))
+    variants, metrics = list(product([True, False], [True, False])), cycle(["identity", "inertial"])
     while regular < SHARE:
         q_bar = random_state(robot, random)[0]
         if np.linalg.norm(np.linalg.pinv(task.linearize(q_bar)[1]), 2) > 10.0:
             continue
         gains = random.uniform(5.0, 10.0, (4, robot.n))
         track = Track(random.uniform(-0.1, 0.1, r), kp=gains[2, :r], kd=gains[3, :r])
-        controller = EosController(task, Hold(task.value(q_bar), m), track, kp=gains[0, :m], kd=gains[1, :m])
+        options = {"kp": gains[0, :m], "kd": gains[1, :m], "atlas": Atlas(task, metric=next(metrics))}
+        controller = EosController(task, Hold(task.value(q_bar), m), track, **options)
         law = pickle.loads(pickle.dumps(controller.start(0.0, q_bar, 0.0 * q_bar).law))
         plain = plain_form(law)
         for moving, carried in variants:
@@ -329,7 +333,7 @@ def test_tracking_laws_agree(task):
             if one[0] != DONE or other[0] != DONE:
                 continue
             regular += 1
-            tolerance = exact(np.vstack((one[3], plain.Vt)), scale=100.0)
+            tolerance = exact(np.vstack((one[3], plain.Wt)), scale=100.0)
             np.testing.assert_allclose(one[1], other[1], rtol=0.0, atol=tolerance)
             assert one[2] == pytest.approx(other[2], abs=tolerance)
             np.testing.assert_allclose(one[3], other[3], rtol=0.0, atol=10.0 * EXACT)

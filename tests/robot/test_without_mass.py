@@ -73,6 +73,7 @@ DYNAMICS = {
     "ExtendedDynamics": lambda task, q: (
         ExtendedDynamics.from_state(task.robot, Chart.from_base(task, q), q, 0.0 * q).mass
     ),
+    "Atlas": lambda task, q: Atlas(task, metric="inertial"),
     "JointLimits": lambda task, q: JointLimits.from_robot(task.robot),
     "MujocoPlant": lambda task, q: MujocoPlant.from_robot(task.robot),
 }

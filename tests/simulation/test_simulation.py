@@ -154,6 +154,25 @@ def shaken(panda, task, seed, rtol, size=0.5, method=None):
     return joints, simulate_extended(panda, controller, REST, atlas=Atlas(task), **options)
 
 
+def shifting(robot):
+    """A metric that is another one on almost every chart: of the paper, of the mass matrix, and one of neither."""
+    scale = np.diag(np.linspace(1.0, 4.0, robot.n))
+    return lambda q: (np.eye(robot.n), robot.mass(q), scale)[int(np.floor(40.0 * q.sum())) % 3]
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_equations_of_motion_agree_through_changes_of_chart_and_metric(panda, task, seed):
+    controller = Shaken(panda, REST, seed)
+    options = {"duration": 1.5, "rtol": 1e-13}
+    joints = simulate(panda, controller, REST, **options)
+    for metric in ("inertial", shifting(panda)):
+        atlas = Atlas(task, threshold=0.9, metric=metric)
+        extended = simulate_extended(panda, controller, REST, atlas=atlas, **options)
+        assert extended.ok, extended.message
+        assert len(extended.switches) > 0
+        assert np.abs(extended.q - joints.q).max() < 1e-9
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_equations_of_motion_agree_under_random_forces(panda, task, seed):
     joints, extended = shaken(panda, task, seed, 1e-12)

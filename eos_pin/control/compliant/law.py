@@ -20,11 +20,6 @@ from eos_pin.trajectories.base import Trajectory
 Anchor: TypeAlias = "JointVector | Callable[[float], tuple[JointVector, JointVector, JointVector]]"
 
 
-def self_motion_rows(chart: Chart) -> Array:
-    """Rows Wᵀ of dv = Wᵀ dq, (r, n)."""
-    return chart.Vt
-
-
 @dataclass(frozen=True, eq=False)
 class Gains:
     """Gains of a mode; those of the task along the axes that `axes` names.
@@ -74,7 +69,7 @@ class ImpedanceLaw:
         self._way = task.robot._way if task.robot.turns else None
         self._minus = None if task.is_vector else task._minus
         n, m = chart.n, chart.m
-        self.m, self._Wt = m, self_motion_rows(chart)
+        self.m, self._Wt = m, chart.Wt
         self._rotations = rotation_rows(task)
         self._z_d = reference.constant
         self._q_d = None if callable(anchor) else np.asarray(anchor)
