@@ -80,15 +80,13 @@ class PlanPath:
             for name in ("size", "centre", "plane", "period"):
                 if getattr(self, name) is not None:
                     raise InputError(f"--{name} does not apply: it belongs to the paths eight, circle and line")
-            corners, blend = self.corners, self.blend
-            return read_path(self.path, task, task.value(q), closed=self.closed, corners=corners, blend=blend)
+            drawn: dict[str, Any] = {"closed": self.closed, "corners": self.corners, "blend": self.blend}
+            return read_path(self.path, task, task.value(q), **drawn)
         if (self.corners, self.blend) != ("smooth", None):
             raise InputError(f"--corners {self.corners} does not apply: it belongs to way points")
         if self.path not in ("eight", "circle", "line"):
-            raise InputError(
-                "a path is eight, circle, line, the name of a .csv file, or way points separated by semicolons; got "
-                f"{self.path!r}"
-            )
+            known = "eight, circle, line, the name of a .csv file, or way points separated by semicolons"
+            raise InputError(f"a path is {known}; got {self.path!r}")
         if self.centre is None:
             size, plane, period = self.size, self.plane, self.period
             return fitting_path(task, q, shape=self.path, size=size, plane=plane, period=period)  # type: ignore[arg-type]
@@ -138,10 +136,8 @@ class Obstructed:
         if self.scene is None and not self.self_collision:
             for name in ("clearance", "capsules"):
                 if getattr(self, name):
-                    raise InputError(
-                        f"--{name} {getattr(self, name)} does not apply: there is nothing to be clear of; add --scene "
-                        "FILE or --self-collision"
-                    )
+                    reason = "there is nothing to be clear of; add --scene FILE or --self-collision"
+                    raise InputError(f"--{name} {getattr(self, name)} does not apply: {reason}")
 
     def costs(self) -> dict[Any, float] | None:
         """Costs by name with their weights; None without."""
@@ -151,9 +147,8 @@ class Obstructed:
             try:
                 made[name] = float(weight) if weight else 1.0
             except ValueError:
-                raise InputError(
-                    f"--cost takes names, or names with weights, such as limits=0.5; got {text!r}"
-                ) from None
+                wanted = "names, or names with weights, such as limits=0.5"
+                raise InputError(f"--cost takes {wanted}; got {text!r}") from None
         return made or None
 
     def bodies(self, robot: Robot) -> Bodies | None:
@@ -199,13 +194,7 @@ class PlanTiming:
     @property
     def accelerations(self) -> float | list[float] | None:
         """Accelerations as `plan` takes them."""
-        return (
-            None
-            if not self.acceleration
-            else self.acceleration[0]
-            if len(self.acceleration) == 1
-            else [*self.acceleration]
-        )
+        return self.acceleration[0] if len(self.acceleration) == 1 else [*self.acceleration] or None
 
     def apply(self, found: Plan) -> Plan:
         """The plan in the time that was asked for."""
