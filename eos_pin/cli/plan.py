@@ -113,6 +113,7 @@ class Obstructed:
             weighed by inertia).
         start: Joints to begin at, n numbers [rad or m].
         reconfigurations: Let the joints jump where no continuous motion exists, as few times as possible.
+        allow_winding: Let joints without limits end each round of a closed path whole turns away from where they began.
         effort: How many times the search is refined before it gives up.
     """
 
@@ -125,6 +126,7 @@ class Obstructed:
     cost: tuple[str, ...] = ()
     start: tuple[float, ...] = ()
     reconfigurations: bool = False
+    allow_winding: bool = False
     effort: int = 3
 
     def check(self) -> None:
@@ -272,6 +274,7 @@ def plan(
                 cost=within.costs(),
                 start=within.start or None,
                 reconfigurations=within.reconfigurations,
+                allow_winding=within.allow_winding,
                 keep_time=timed if own else False,
                 acceleration=time.accelerations if own else None,
                 torque=own and time.torque_limits,
@@ -369,6 +372,8 @@ def _table(found: Plan) -> Any:
         "path", f"{'closed' if info['closed'] else 'open'}, {info['waypoints']} way points, {info['duration']:.4g} s"
     )
     table.add_row("reconfigurations", str(info["reconfigurations"]))
+    for name, turns in info["winding"].items():
+        table.add_row(f"whole turns of {name} each round", str(turns))
     table.add_row("task error, at any time", f"{format_number(info['task_error_max'])} m or rad")
     table.add_row("largest step of a joint", f"{format_number(info['joint_step_max'])} rad or m")
     table.add_row("joint motion", f"{format_number(info['joint_motion'])} rad")
@@ -389,12 +394,7 @@ def _table(found: Plan) -> Any:
 @contextmanager
 def _progress(title: str) -> Iterator[Report]:
     """Progress bar on the terminal."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-    )
+    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn()
     with Progress(*columns, console=stderr, transient=True) as progress:
         bar = progress.add_task(title, total=1.0)
         yield lambda what, part: progress.update(bar, description=f"{title}: {what}", completed=part)

@@ -98,7 +98,7 @@ class Search:
     def finer(self, q: Array) -> Array | None:
         """Joints at twice as many points; the grid and the bounds of steps become finer with them."""
         grid = self.grid.finer()
-        joints = prolonged(self.problem.manifold, grid, q, np.arange(0, len(grid.Z), 2))
+        joints = prolonged(self.problem, grid, q, np.arange(0, len(grid.Z), 2))
         if joints is None:
             return None
         self._refine_grid(grid)
@@ -189,8 +189,16 @@ class Search:
         if whole.wound:
             self.notes.append(
                 f"where it closes, {', '.join(map(repr, whole.wound))} would turn a whole turn each round, which winds "
-                "cables up"
+                f"cables up{self._winding(whole.wound)}"
             )
+
+    def _winding(self, wound: Sequence[str]) -> str:
+        """Whether joints may be allowed to wind, in words."""
+        robot = self.problem.manifold.robot
+        free = {joint.name for joint, free in zip(robot.joints, robot.continuous, strict=True) if free}
+        if set(wound) <= free:
+            return "; allow_winding=True (--allow-winding) lets them"
+        return ""
 
     def _attempt(self, attempt: Attempt) -> None:
         grid, problem = self.grid, self.problem
@@ -236,7 +244,7 @@ class Search:
         """Joints at all points from joints at some of them; None where something is not kept."""
         if self.reconfigurations:
             return self._pieces(way)
-        q = prolonged(self.problem.manifold, self.grid, way, rows)
+        q = prolonged(self.problem, self.grid, way, rows)
         if q is None:
             self.notes.append("between the points that were searched the motion is not continuous")
             return None
@@ -251,7 +259,7 @@ class Search:
         row: int | None = 0
         for rounds, steps in ((ROUNDS, STEPS), (ROUGH, STEPS), (ROUGH, 6), (ROUGH, 2), ((), 0)):
             refined = refine(course, q, rounds=rounds, steps=steps)
-            row = broken_at(self.problem.manifold, self.grid, refined)
+            row = broken_at(self.problem, self.grid, refined)
             if row is None:
                 return refined
         self.notes.append(f"the joints would have to jump at {self.grid.called(row or 0)}")

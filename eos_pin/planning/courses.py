@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 
 from eos_pin._arrays import Array
 from eos_pin.planning.grid import Grid
+from eos_pin.planning.problem import Problem
 from eos_pin.planning.refine import NEAR, SMALL, Barrier, Course, descended
-from eos_pin.tasks.batch import Manifold
 from eos_pin.trajectories.through import sampled
 
 #: Room beyond what is asked for, so that what is mended is well inside: in joints [rad or m], distances [m], steps.
@@ -36,19 +36,23 @@ class Mended(NamedTuple):
 
 
 def prolonged(
-    manifold: Manifold, grid: Grid, way: Float[Array, "l n"], rows: Int[Array, " l"]
+    problem: Problem, grid: Grid, way: Float[Array, "l n"], rows: Int[Array, " l"]
 ) -> Float[Array, "L n"] | None:
     """Joints at all points of a path, from a spline through those at some of them; None where they are not near it."""
     if len(rows) == len(grid.Z):
         return way
     from scipy.interpolate import CubicSpline
 
-    times, values = grid.times[rows], way
+    times, values, rate = grid.times[rows], way, 0.0 * way[0]
     if grid.closed:
-        times, values = np.append(times, grid.times[0] + grid.dt.sum()), np.concatenate((way, way[:1]))
+        period = grid.dt.sum()
+        # Whole turns are an even motion, and the rest repeats.
+        rate = (problem.again(way) - way[0]) / period
+        times, values = np.append(times, grid.times[0] + period), way - np.outer(times - times[0], rate)
+        values = np.concatenate((values, values[:1]))
     curve = CubicSpline(times, values, bc_type="periodic" if grid.closed else "not-a-knot")
-    guess = curve(grid.times)
-    q, found = manifold.project(guess.T, grid.Z.T)
+    guess = curve(grid.times) + np.outer(grid.times - times[0], rate)
+    q, found = problem.manifold.project(guess.T, grid.Z.T)
     if not found.all() or np.abs(q.T - guess).max() > CORRECTION:
         return None
     q = np.ascontiguousarray(q.T)
@@ -56,12 +60,12 @@ def prolonged(
     return q
 
 
-def broken_at(manifold: Manifold, grid: Grid, q: Float[Array, "L n"]) -> int | None:
+def broken_at(problem: Problem, grid: Grid, q: Float[Array, "L n"]) -> int | None:
     """Point after which joints are not continuous: halfway to the next the path's joints are not near; None without."""
-    following = np.roll(q, -1, axis=0) if grid.closed else q[1:]
+    following = np.concatenate((q[1:], problem.again(q)[None])) if grid.closed else q[1:]
     q, dt = q[: len(following)], grid.dt[: len(following)]
     middle = 0.5 * (q + following).T
-    on, found = manifold.project(middle, sampled(grid.path, grid.times[: len(q)] + 0.5 * dt).T, iterations=10)
+    on, found = problem.manifold.project(middle, sampled(grid.path, grid.times[: len(q)] + 0.5 * dt).T, iterations=10)
     wrong = ~is_near(on, found, middle, (following - q).T)
     return int(wrong.argmax()) if wrong.any() else None
 

@@ -10,7 +10,9 @@ import numpy as np
 from eos_pin._arrays import Array
 
 
-def spline(times: Array, values: Array, closed: bool, jumps: Sequence[int] = ()) -> tuple[Array, Array]:
+def spline(
+    times: Array, values: Array, closed: bool, jumps: Sequence[int] = (), turned: Array | None = None
+) -> tuple[Array, Array]:
     """Knots (K,) and coefficients of a cubic spline, highest power first, (K − 1, 4, columns).
 
     A jump makes one more knot, in the middle between two others: the spline before it is prolonged up to there,
@@ -21,9 +23,19 @@ def spline(times: Array, values: Array, closed: bool, jumps: Sequence[int] = ())
         values: Values, (T, columns).
         closed: Whether the last value is the first, and the spline periodic.
         jumps: Numbers of the values after which they jump.
+        turned: How far the first of the columns are at the last value, if the spline is periodic but for them.
     """
     if not jumps:
-        return np.array(times), _cubic(times, values, closed)
+        if turned is None or not turned.any():
+            return np.array(times), _cubic(times, values, closed)
+        # Whole turns are an even motion, and the rest repeats.
+        rate = np.zeros(values.shape[1])
+        rate[: len(turned)] = turned / (times[-1] - times[0])
+        ramp = np.outer(times - times[0], rate)
+        made = _cubic(times, np.concatenate((values[:-1] - ramp[:-1], values[:1])), closed)
+        made[:, 2] += rate
+        made[:, 3] += ramp[:-1]
+        return np.array(times), made
     knots, parts = list[Array](), list[Array]()
     ends = [0, *(k + 1 for k in jumps), len(times)]
     middles = [None, *(0.5 * (times[k] + times[k + 1]) for k in jumps), None]

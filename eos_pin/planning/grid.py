@@ -104,11 +104,11 @@ class Grid:
         parts = np.repeat(lengths, lengths).astype(float)
         return np.append(parts, np.ones(len(self.Z) - len(parts)))
 
-    def knots(self, q: Float[Array, "L n"]) -> tuple[Array, Array]:
-        """Times and joints of a plan: of a closed one the first once more at its end."""
+    def knots(self, q: Float[Array, "L n"], again: Float[Array, " n"]) -> tuple[Array, Array]:
+        """Times and joints of a plan; of a closed one those where it begins again come last."""
         if not self.closed:
             return self.times, q
-        return np.append(self.times, self.times[0] + self.dt.sum()), np.concatenate((q, q[:1]))
+        return np.append(self.times, self.times[0] + self.dt.sum()), np.concatenate((q, again[None]))
 
     def called(self, row: int) -> str:
         """A point in words."""

@@ -50,6 +50,7 @@ def plan(
     end: VectorLike | None = None,
     guess: Array | Sequence[VectorLike] | None = None,
     reconfigurations: bool = False,
+    allow_winding: bool = False,
     keep_time: bool | None = None,
     acceleration: float | VectorLike | None = None,
     torque: float | VectorLike | bool = False,
@@ -86,6 +87,8 @@ def plan(
         guess: Joints near a motion at the way points, (K, n), which is looked at before any search; of a closed path
             without the first once more at the end.
         reconfigurations: Whether the joints may jump where no continuous motion exists, as few times as possible.
+        allow_winding: Whether joints without limits may end each round of a closed path whole turns away from where
+            they began (`Plan.winding`); such motions are found with one redundant joint and without `start`.
         keep_time: Whether the velocity limits hold at the pace of the path; by default if it has times of its own.
         acceleration: Largest accelerations [rad/s² or m/s²]; a given pace is refused where they are exceeded.
         torque: Largest torques [N m or N], kept likewise, or whether those of the robot are kept.
@@ -101,11 +104,17 @@ def plan(
     began = time.perf_counter()
     progress = partial(called, "progress", progress)
     grid = grid_of(task, path, closed=closed, times=times)
-    problem = problem_of(Manifold(task), scene, bodies, self_collision, clearance, margin, limits, cost, weights, start)
+    problem = problem_of(
+        Manifold(task), scene, bodies, self_collision, clearance, margin, limits, cost, weights, start, allow_winding
+    )
     timed = grid.timed if keep_time is None else keep_time
     step = grid.bounds(task.robot, joint_step, timed)
     if grid.closed and end is not None:
         raise InputError("a closed path ends where it begins; give its start, not its end")
+    if allow_winding and not (grid.closed and np.isinf(problem.upper - problem.lower).any()):
+        raise InputError(
+            "allow_winding changes nothing here: it is for closed paths of robots with joints that turn without limits"
+        )
     ends = given(start, task, grid.Z[0], "start"), given(end, task, grid.Z[-1], "end")
     search = Search(problem, grid, step, ends, reconfigurations, seed, progress)
     status = "planned"
@@ -125,7 +134,7 @@ def plan(
         raise refused
     grid = search.grid
     for _ in range(FINER + 1):
-        made = Plan(task, grid.path, *grid.knots(q), grid.closed, status, {})
+        made = Plan(task, grid.path, *grid.knots(q, problem.again(q)), grid.closed, status, {})
         made = made if timed else grid.slowed(made)
         try:
             info = figures(made, grid, problem, time.perf_counter() - began, jumps=search.jumps(q), seed=seed)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.linalg import lapack
 
 from eos_pin._arrays import Array, by_value, checked, frozen_copy, number
@@ -27,6 +27,7 @@ from eos_pin.trajectories.storage import described, path_from
 from eos_pin.trajectories.through import WaypointPath, sampled
 from eos_pin.trajectories.timed import Pace, TimedPath
 
+TAU = 2.0 * np.pi
 #: Largest task error of the joints [m, rad], and the most Newton steps.
 EXACT, MOST_STEPS = 1e-12, 12
 FORMAT = 1
@@ -91,6 +92,11 @@ class Plan:
         """Time after which it repeats [s]; infinite if it does not."""
         return self.end - self.start if self.closed else float("inf")
 
+    @cached_property
+    def winding(self) -> Int[Array, " n"]:
+        """Whole turns of each joint in a round of a closed plan; zeros unless it may wind."""
+        return np.round((self.q[-1] - self.q[0]) * (self.closed / TAU)).astype(np.int64)
+
     @property
     def jump_times(self) -> tuple[float, ...]:
         """Times at which the joints jump [s]."""
@@ -135,7 +141,7 @@ class Plan:
         values = np.hstack((self.q, J.reshape(len(self.q), -1)))
         if self.closed:
             values[-1] = values[0]
-        return spline(knots, values, self.closed, self.jumps)
+        return spline(knots, values, self.closed, self.jumps, TAU * self.winding)
 
     def _at(self, t: float) -> tuple[Array, Array, Array, Array, Array, Array]:
         """S, C, and their first and second derivatives."""
@@ -153,6 +159,10 @@ class Plan:
             return self.start + (t - self.start) % self.period
         return min(max(t, self.start), self.end)
 
+    def _turned(self, t: Any, inner: Any) -> Any:
+        """Whole turns of the rounds before time t, which is `inner` within its round."""
+        return np.multiply.outer(np.round((t - inner) / self.period), TAU * self.winding) if self.winding.any() else 0.0
+
     def __call__(self, t: float) -> JointTarget:
         """Joints, velocities and accelerations at time t [s]; an open plan rests before its start and after its end.
 
@@ -162,7 +172,7 @@ class Plan:
         inner = self._wrapped(t if type(t) is float else number(t, "t"))
         s, ds, dds = (inner, 1.0, 0.0) if self.pace is None else self.pace(inner)
         q, dq, ddq = self._own(s, t)
-        ddq, dq = ds * ds * ddq + dds * dq, ds * dq
+        q, dq, ddq = q + self._turned(t, inner), ds * dq, ds * ds * ddq + dds * dq
         if not self.closed and not self.start <= t <= self.end:
             return JointTarget(q, 0.0 * dq, 0.0 * ddq)
         return JointTarget(q, dq, ddq)
@@ -202,8 +212,8 @@ class Plan:
     @checked
     def joints(self, times: Float[Array, " T"]) -> Float[Array, "T n"]:
         """Joints at many times."""
-        t = np.array([self._wrapped(float(t)) for t in times])
-        t = t if self.pace is None else self.pace.place(t)
+        inner = np.array([self._wrapped(float(t)) for t in times])
+        t = inner if self.pace is None else self.pace.place(inner)
         z = sampled(self.untimed, t).T
         knots, coefficients = self._curve
         k = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 2)
@@ -217,7 +227,7 @@ class Plan:
             error, J = manifold.linearize(q.T, z)
             size = np.abs(error).max(axis=0)
             if (size <= EXACT).all() or (size.max() < 1e-9 and (size > 0.3 * last).any()):
-                return q
+                return q + self._turned(times, inner)
             bad = ~np.isfinite(size) | (size > 10.0)
             if bad.any():
                 break

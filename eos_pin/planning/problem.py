@@ -28,6 +28,7 @@ from eos_pin.tasks.base import Task
 from eos_pin.tasks.batch import Manifold
 from eos_pin.tasks.tolerance import ToleranceTask
 
+TAU = 2.0 * np.pi
 #: Part of a band that is planned with: between points of the path the rest is used.
 BANDS = 0.98
 
@@ -62,6 +63,7 @@ class Problem:
         gap: Least distance that is allowed [m].
         weights: Weight of each joint's motion in the cost, (n,).
         posture_cost: Cost of being at a posture, per unit of time; None without.
+        winding: Whether joints without limits may end a closed path whole turns away from where they began.
     """
 
     manifold: Manifold
@@ -71,6 +73,7 @@ class Problem:
     gap: float
     weights: Array
     posture_cost: PostureCost | None = None
+    winding: bool = False
 
     @cached_property
     def bands(self) -> ToleranceTask | None:
@@ -106,6 +109,17 @@ class Problem:
         """Motion of each joint that counts like a radian, (n,) [rad or m]."""
         robot = self.manifold.robot
         return np.array([0.3 * robot.reach if joint.kind == "prismatic" else 1.0 for joint in robot.joints])
+
+    @cached_property
+    def winds(self) -> Bool[Array, " n"]:
+        """Joints that may wind."""
+        free = np.isneginf(self.lower) & np.isposinf(self.upper)
+        return free & np.array([self.winding and joint.kind != "prismatic" for joint in self.manifold.robot.joints])
+
+    def again(self, q: Float[Array, "L n"]) -> Float[Array, " n"]:
+        """Joints where a closed path begins again: those at its start, whole turns away where joints wind."""
+        turns = np.round((q[-1] - q[0]) / TAU)
+        return q[0] + TAU * np.where(self.winds, turns, 0.0)
 
     def inside(self, Q: Float[Array, "n K"]) -> Bool[Array, " K"]:
         """Whether postures are within the limits."""
@@ -195,6 +209,7 @@ def problem_of(
     cost: Cost | None,
     weights: float | VectorLike,
     reference: VectorLike | None = None,
+    winding: bool = False,
 ) -> Problem:
     """Problem on a manifold; arguments as in `plan`.
 
@@ -236,7 +251,7 @@ def problem_of(
     if reference is not None:
         middle = vector(reference, robot.n, "the joints to begin at")
     costs = costs_of(cost, manifold, (lower, upper), clearances, middle)
-    return Problem(manifold, lower, upper, clearances, gap, frozen_copy(weight * costs.weights), costs.posture)
+    return Problem(manifold, lower, upper, clearances, gap, frozen_copy(weight * costs.weights), costs.posture, winding)
 
 
 def given(q: VectorLike | None, task: Task, z: Array, name: str) -> Array | None:

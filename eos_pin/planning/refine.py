@@ -57,7 +57,7 @@ class Course:
 
     def motion(self, q: Float[Array, "L n"]) -> Float[Array, "l n"]:
         """Step from each posture to the next; of an open path one fewer."""
-        return np.roll(q, -1, axis=0) - q if self.closed else np.diff(q, axis=0)
+        return np.diff(np.concatenate((q, self.problem.again(q)[None])) if self.closed else q, axis=0)
 
     @property
     def share(self) -> Float[Array, " L"]:

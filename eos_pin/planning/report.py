@@ -34,7 +34,7 @@ def figures(
     """
     robot, task = plan.robot, plan.task
     at_marks = grid.at_marks(plan.q[: len(grid.Z)])
-    steps = np.diff(np.concatenate((at_marks, at_marks[:1])) if plan.closed else at_marks, axis=0)
+    steps = np.diff(np.concatenate((at_marks, plan.q[-1:])) if plan.closed else at_marks, axis=0)
     counted = np.abs(steps).max(axis=1)
     if jumps:
         counted[[grid.waypoint(k) for k in jumps]] = 0.0
@@ -57,6 +57,7 @@ def figures(
         "waypoints": grid.count,
         "points": len(grid.Z),
         "reconfigurations": len(jumps),
+        "winding": {joint.name: int(k) for joint, k in zip(robot.joints, plan.winding, strict=True) if k},
         "jumps": [grid.waypoint(k) for k in jumps],
         "task_error_max": error,
         "joint_step_max": float(counted.max()),

@@ -7,10 +7,9 @@ Postures that differ by whole turns of joints are one; how often joints turned i
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from eos_pin._arrays import Array
@@ -19,10 +18,9 @@ from eos_pin._kernels.ways import Steps, closed_ways
 from eos_pin.errors import SingularError
 from eos_pin.planning.courses import is_near
 from eos_pin.planning.manifolds.components import Component
-from eos_pin.planning.problem import Problem
+from eos_pin.planning.problem import TAU, Problem
 from eos_pin.planning.search import SHORT, Ticked, connected
 
-TAU = 2.0 * np.pi
 #: Distance of neighbouring postures along a component [rad].
 SPACING = 0.12
 #: Longest self-motion between two layers, in radians, and most steps from each posture.
@@ -49,6 +47,8 @@ class WholeLayers:
         seed: Seed of the random postures.
         tick: Called with the number of layers done; it may raise to stop.
         wound: Names of the joints that turn a whole turn in ways that were left out for it.
+        rolled: Joints of which postures whole turns apart are one, (n,): all that have room for a turn, but those of
+            `wound` in a second search, which would otherwise find the same ways.
     """
 
     problem: Problem
@@ -58,13 +58,12 @@ class WholeLayers:
     seed: int = 0
     tick: Ticked = lambda done: None
     wound: list[str] = field(default_factory=list)
+    rolled: Bool[Array, " n"] = field(init=False)
 
-    @cached_property
-    def turning(self) -> Bool[Array, " n"]:
-        """Joints that have room for a whole turn."""
+    def __post_init__(self) -> None:
         problem = self.problem
         revolute = np.array([joint.kind != "prismatic" for joint in problem.manifold.robot.joints])
-        return revolute & (problem.upper - problem.lower >= TAU)
+        self.rolled = revolute & (problem.upper - problem.lower >= TAU)
 
     def _home(self, Q: Float[Array, "n K"]) -> Float[Array, "n K"]:
         """Postures with each joint that turns as near the middle of its range as whole turns bring it."""
@@ -79,14 +78,32 @@ class WholeLayers:
     def _way(self, a: Array, b: Array) -> Array:
         """Motion from a to b, the short way round for joints that have room for a turn."""
         d = b - a
-        d[self.turning] -= TAU * np.round(d[self.turning] / TAU)
+        d[self.rolled] -= TAU * np.round(d[self.rolled] / TAU)
         return d
 
     def ways(self, most: int) -> list[Array]:
-        """The best ways round that differ, as joints (L, n): closed, without winding."""
+        """The best ways round that differ, as joints (L, n): closed, winding only where joints may wind."""
         nodes = self._nodes()
         if nodes is None:
             return []
+        found = self._round(nodes, most)
+        if found or not self.wound:
+            return found
+        names = [joint.name for joint in self.problem.manifold.robot.joints]
+        held = np.array([name in self.wound for name in names])
+        self.rolled &= ~held
+        return self._round([self._copied(Q, np.flatnonzero(held)) for Q in nodes], most)
+
+    def _copied(self, Q: Float[Array, "n K"], joints: Int[Array, " j"]) -> Float[Array, "n M"]:
+        """Postures, and those a whole turn of some joints away that are within limits."""
+        for joint in joints:
+            turn = TAU * (np.arange(len(Q)) == joint)[:, None]
+            Q = np.hstack((Q, Q - turn, Q + turn))
+            Q = Q[:, self.problem.inside(Q)]
+        return Q
+
+    def _round(self, nodes: list[Array], most: int) -> list[Array]:
+        """The best ways round through layers of postures."""
         L = len(nodes)
         first = int(np.argmin([layer.shape[1] for layer in nodes]))
         order = np.roll(np.arange(L), -first)
@@ -187,7 +204,7 @@ class WholeLayers:
         ok = np.flatnonzero(found)
         if not len(ok):
             return Steps(ok, ok, np.empty(0))
-        box = np.where(self.turning, TAU, 1e6) / problem.scale
+        box = np.where(self.rolled, TAU, 1e6) / problem.scale
         tree = cKDTree(self._wrapped(new), boxsize=box)
         distance, end = tree.query(
             self._wrapped(there[:, ok]), k=min(NEIGHBOURS, new.shape[1]), p=np.inf, distance_upper_bound=STRIDE
@@ -210,14 +227,14 @@ class WholeLayers:
 
     def _wrapped(self, Q: Float[Array, "n K"]) -> Float[Array, "K n"]:
         """Postures as rows, joints that turn from 0 to a turn, the others far from the ends of their box."""
-        turned = np.where(self.turning[:, None], np.mod(Q, TAU), Q + 5e5 * self.problem.scale[:, None] * 0.5)
-        turned[self.turning] = np.where(turned[self.turning] >= TAU, 0.0, turned[self.turning])
+        turned = np.where(self.rolled[:, None], np.mod(Q, TAU), Q + 5e5 * self.problem.scale[:, None] * 0.5)
+        turned[self.rolled] = np.where(turned[self.rolled] >= TAU, 0.0, turned[self.rolled])
         return (turned / self.problem.scale[:, None]).T
 
     def _unrolled(self, way: Float[Array, "L n"]) -> Float[Array, "L n"] | None:
         """Continuous joints of a way within limits; None where they turn, or do not fit."""
         steps = self._way(way.T, np.roll(way, -1, axis=0).T).T
-        turned = np.abs(steps.sum(axis=0)) > 1e-6
+        turned = (np.abs(steps.sum(axis=0)) > 1e-6) & ~self.problem.winds
         if turned.any():
             names = [
                 joint.name for joint, turns in zip(self.problem.manifold.robot.joints, turned, strict=True) if turns
@@ -227,9 +244,9 @@ class WholeLayers:
         q = way[0] + np.concatenate((0.0 * steps[:1], np.cumsum(steps[:-1], axis=0)))
         problem = self.problem
         below = np.where(np.isfinite(problem.lower), problem.lower - q.min(axis=0), 0.0)
-        shift = np.where(self.turning & (below > 0.0), TAU * np.ceil(below / TAU), 0.0)
+        shift = np.where(self.rolled & (below > 0.0), TAU * np.ceil(below / TAU), 0.0)
         above = np.where(np.isfinite(problem.upper), q.max(axis=0) + shift - problem.upper, 0.0)
-        shift -= np.where(self.turning & (above > 0.0), TAU * np.ceil(above / TAU), 0.0)
+        shift -= np.where(self.rolled & (above > 0.0), TAU * np.ceil(above / TAU), 0.0)
         q = q + shift
         return q if problem.inside(q.T).all() else None
 

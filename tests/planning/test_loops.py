@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from checks import TAU
 
-from eos_pin import PoseTask, PositionTask, load_robot
-from eos_pin.errors import PlanError
+from eos_pin import EosController, FollowPlan, Plan, PoseTask, PositionTask, load_robot, simulate
+from eos_pin.errors import InputError, PlanError
 from eos_pin.planning.planner import plan
 
 
@@ -50,11 +51,13 @@ def test_closed_plan_does_not_wind_joints_without_limits():
 
 
 CHAIN = """<robot name="chain"><link name="link0"/>{joints}</robot>"""
-JOINT = """<link name="link{k}"/><joint name="joint{k}" type="{kind}"><parent link="link{before}"/>
+JOINT = """<link name="link{k}"><inertial><mass value="1"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="joint{k}" type="{kind}"><parent link="link{before}"/>
 <child link="link{k}"/><origin xyz="{x} 0 0"/><axis xyz="0 0 1"/></joint>"""
 
 
-def test_closed_path_that_only_whole_turns_follow_is_refused_by_name():
+def around():
     """A planar arm of three unit links, its tip at 2.5 around the base: each link has to turn with the tip."""
     joints = [
         JOINT.format(k=k, before=k - 1, x=float(k > 1), kind="fixed" if k == 4 else "continuous") for k in range(1, 5)
@@ -62,5 +65,55 @@ def test_closed_path_that_only_whole_turns_follow_is_refused_by_name():
     robot = load_robot(CHAIN.format(joints="".join(joints)), chain_to="link4")
     s = np.linspace(0.0, 2.0 * np.pi, 33)
     circle = np.column_stack((2.5 * np.cos(s), 2.5 * np.sin(s)))
-    with pytest.raises(PlanError, match="'joint1' would turn a whole turn"):
-        plan(PositionTask(robot, "link4", "xy"), circle, closed=True, effort=1)
+    return PositionTask(robot, "link4", "xy"), circle
+
+
+def test_closed_path_that_only_whole_turns_follow_is_refused_by_name():
+    task, circle = around()
+    with pytest.raises(PlanError, match=r"'joint1' would turn a whole turn .* allow_winding=True"):
+        plan(task, circle, closed=True, effort=1)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_plan_that_may_wind_goes_on_round_after_round(tmp_path):
+    task, circle = around()
+    found = plan(task, circle, closed=True, effort=1, allow_winding=True)
+    assert found.winding.tolist() == [1, 0, 0]
+    assert found.info["winding"] == {"joint1": 1}
+    turn, T = np.array([TAU, 0.0, 0.0]), found.period
+    times = found.start + np.linspace(0.0, 3.0 * T, 301)
+    rows = [found(float(t)) for t in times]
+    q, dq, _ = (np.array(column) for column in zip(*rows, strict=True))
+    np.testing.assert_allclose(q, found.joints(times), atol=1e-12)
+    np.testing.assert_allclose(q[100:], q[:-100] + turn, atol=1e-9)
+    np.testing.assert_allclose(dq[100:], dq[:-100], atol=1e-9)
+    # The path by its own equation, and derivatives by differences, at the seam as well.
+    angle = np.cumsum(q, axis=1)
+    tip = np.column_stack((np.cos(angle).sum(axis=1), np.sin(angle).sum(axis=1)))
+    np.testing.assert_allclose(np.linalg.norm(tip, axis=1), 2.5, atol=1e-3)
+    h = 1e-4
+    for t in (found.start + T, found.start + 2.0 * T + 0.3):
+        before, now, after = (found(t + s) for s in (-h, 0.0, h))
+        np.testing.assert_allclose((after.q - before.q) / (2.0 * h), now.dq, atol=1e-6)
+        np.testing.assert_allclose((after.dq - before.dq) / (2.0 * h), now.ddq, atol=1e-5)
+    assert Plan.load(found.save(tmp_path / "plan.npz"), task.robot).winding.tolist() == [1, 0, 0]
+    table = found.table()[1]
+    np.testing.assert_allclose(table[-1] - table[0], turn, atol=1e-9)
+    assert np.abs(np.diff(table, axis=0)).max() < 0.1
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_plan_that_winds_is_followed_round_after_round():
+    task, circle = around()
+    found = plan(task, circle, closed=True, times=np.linspace(0.0, 3.0, 33), effort=1, allow_winding=True)
+    controller = EosController(task, found.path, FollowPlan(found))
+    start = found(found.start)
+    run = simulate(task.robot, controller, start.q, dq=start.dq, duration=2.0 * found.period, rtol=1e-6)
+    assert run.joint_drift_per_cycle.max() < 1e-5
+    assert run.turns_per_cycle.tolist() == 2 * [[1, 0, 0]]
+    assert run.info["joint_distance"]["max"] < 1e-5
+
+
+def test_winding_is_allowed_where_it_means_something_only(panda):
+    with pytest.raises(InputError, match="without limits"):
+        plan(PositionTask(panda, "panda_hand_tcp"), 0.5 * np.eye(3), closed=False, allow_winding=True)
