@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 ROOMS = ("", *(f".{stub.parent.name}" for stub in sorted(Path(eos_pin.__file__).parent.glob("*/__init__.pyi"))))
 #: Tuples and values that inner loops make; nobody calls their constructors, which look at nothing.
 BUNDLES = {"Inverse", "Target", "TaskPoint", "ClosestPair", "ChartPoint", "JointPath", "IkSolution", "Plan", "Result"}
-BUNDLES |= {"SelfMotionManifold", "Waypoints", "Joint", "Chart", "LimitUse", "Command"}
+BUNDLES |= {"SelfMotionManifold", "Waypoints", "Joint", "Chart", "LimitUse", "Command", "Equilibrium"}
 #: Contracts, whose methods are tried on the classes that keep them.
 CONTRACTS = {"Task", "Trajectory", "Controller", "Objective", "NullSpaceLaw"}
 #: A robot of two joints, of which the second follows the first.
@@ -72,6 +72,9 @@ def _made():
         "space": eos_pin.circle([0.0, 0.0, 0.0], 0.05, period=4.0),
         "plan": eos_pin.plan(task, circle, limits=rows),
         "manifold": eos_pin.self_motion_manifold(task, z, limits=rows, seeds=3),
+        "upright": eos_pin.self_motion_manifold(
+            eos_pin.PositionTask(robot.with_gravity([0.0, -9.81, 0.0]), frame, "xy"), z, limits=rows, seeds=3
+        ),
         "result": eos_pin.simulate(robot, controller, q, duration=0.02),
         "atlas": eos_pin.Atlas(task),
         "trial": eos_pin.Trial.from_settings("ppr", duration=0.02),
@@ -118,6 +121,7 @@ def objects():
     hand, pose = "panda_hand_tcp", eos_pin.PoseTask(panda, "panda_hand_tcp")
     chart = made["chart"]
     listed = [made["atlas"], chart, clearance, made["obstacle"], plan, robot, made["manifold"], made["result"]]
+    listed += planning.equilibria(made["upright"])[:1]
     listed += [eos_pin.TaskForce(task, lambda t: [0.0, 0.0]), eos_pin.Friction(), eos_pin.SensorNoise()]
     listed += [eos_pin.ExtendedDynamics.from_state(robot, chart, q, dq), controller, task, space, hold, made["trial"]]
     listed += [eos_pin.TaskSpaceDynamics(robot, q, dq, task.at(q, dq)), eos_pin.ControlLoop(controller)]
@@ -196,6 +200,7 @@ def special(label):
         "plan": {"path": [z, z + 0.02], **moved, **limits},
         "fastest": {"path": [z, z + 0.02], **moved, **limits},
         "self_motion_manifold": {"seeds": 3, "tries": 20, "most": 50, **limits},
+        "equilibria": {"manifold": made["upright"], "starts": [], "seed": 0},
         "load_robot": {"source": "ppr", "gravity": None},
         "task_from_description": {"description": task.describe()},
         "Clearance.along": {"t": [0.0, 1.0], "q": rows},

@@ -21,10 +21,13 @@ from eos_pin.errors import OldNameError
 if TYPE_CHECKING:
     pass
 from eos_pin.cli.analyze import analyze
+from eos_pin.cli.demo import demo
+from eos_pin.cli.explore import explore
 from eos_pin.cli.ik import ik
 from eos_pin.cli.plan import plan
 from eos_pin.cli.rehearse import rehearse
 from eos_pin.cli.replay import replay, robots
+from eos_pin.cli.selfmotion import selfmotion
 from eos_pin.cli.track import compare, track
 
 
@@ -43,7 +46,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words == ["--version"]:
         console.print(f"eos-pin {version('eos-pin')}")
         return 0
-    commands = {f.__name__: f for f in (track, plan, compare, sweep, rehearse, analyze, info, ik, replay, robots)}
+    commands = {
+        f.__name__: f
+        for f in (demo, explore, track, plan, compare, sweep, rehearse, analyze, info, ik, selfmotion, replay, robots)
+    }
 
     def command() -> int:
         _refuse_old_flags(words)

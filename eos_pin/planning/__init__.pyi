@@ -1,6 +1,8 @@
 from .limit_use import LimitUse as LimitUse
 from .limit_use import MotionLimits as MotionLimits
 from .limit_use import limit_use as limit_use
+from .manifolds.equilibria import Equilibrium as Equilibrium
+from .manifolds.equilibria import equilibria as equilibria
 from .manifolds.manifold import SelfMotionManifold as SelfMotionManifold
 from .manifolds.manifold import self_motion_manifold as self_motion_manifold
 from .obstacles.avoidance import Avoidance as Avoidance

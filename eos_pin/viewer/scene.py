@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import gzip
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -96,48 +96,108 @@ class Scene:
             t: Times of the frames [s], increasing.
             q: Joints at these times [rad or m].
         """
-        if len(t) != len(q):
-            raise InputError(f"joints are needed for each of {len(t)} times, got {len(q)} rows")
-        blocks: list[bytes] = []
-        parts = list(self._parts(blocks))
-        header = {
-            "title": self.title or self.robot.name,
-            "caption": self.caption,
-            "parts": parts,
-            "bodies": self._links + len(self.obstacles),
-            "joints": self._links,
-            "paths": [{"name": name, "points": _store(blocks, points, "f4")} for name, points in self.paths.items()],
-            "traces": [self._trace(name, frame) for name, frame in self.traces.items()],
-            "obstacles": [{"name": o.name, "color": o.color[:3]} for o in self.obstacles],
-            "times": _store(blocks, t, "f8"),
-            "poses": _store(blocks, np.array([self.poses(*frame) for frame in zip(t, q, strict=True)]), "f4"),
-        }
-        text = json.dumps(header).encode()
-        text += b" " * (-(4 + len(text)) % 8)
-        return gzip.compress(len(text).to_bytes(4, "little") + text + b"".join(blocks), 9, mtime=0)
+        return packed(t, [Placed(self, q)], title=self.title or self.robot.name, caption=self.caption)
 
-    def _trace(self, name: str, frame_name: str) -> dict[str, Any]:
-        frame = self.robot.model.frames[self.robot.frame_id(frame_name)]
-        return {"name": name, "body": int(frame.parentJoint) - 1, "point": frame.placement.translation.tolist()}
-
-    def _parts(self, blocks: list[bytes]) -> Iterator[dict[str, Any]]:
-        """Coloured meshes with the body that carries each; body −1 is the world."""
-        stored: dict[object, list[dict[str, Any]]] = {}
+    def _parts(self, blocks: list[bytes], stored: dict[object, list[dict[str, Any]]]) -> Iterator[_Part]:
+        """Coloured meshes with the body that carries each; those of mesh files are stored once."""
         visual = self.robot.visual
         objects = list(visual.geometryObjects) if visual is not None else []
         for item in objects or skeleton(self.robot):
             file = mesh_file(item)
-            known = (file, tuple(item.meshScale)) if file else item.name
+            known = (file, tuple(item.meshScale)) if file else (id(self), item.name)
             if known not in stored:
                 stored[known] = [_store_mesh(blocks, piece) for piece in link_meshes(item)]
             for mesh in stored[known]:
                 own = None if item.overrideMaterial else mesh["color"]
                 color = own or [float(c) for c in item.meshColor]
-                matrix = item.placement.homogeneous.T.ravel().tolist()
-                yield {**mesh, "color": color, "body": int(item.parentJoint) - 1, "matrix": matrix}
+                yield _Part({**mesh, "color": color}, int(item.parentJoint) - 1, item.placement.homogeneous)
         for i, obstacle in enumerate(self.obstacles):
             mesh = _store_mesh(blocks, solid_mesh(obstacle.shape))
-            yield {**mesh, "color": obstacle.color, "body": self._links + i, "matrix": np.eye(4).ravel().tolist()}
+            yield _Part({**mesh, "color": obstacle.color}, self._links + i, np.eye(4))
+
+
+class _Part(NamedTuple):
+    """A coloured mesh, the number of the body that carries it, −1 for the world, and its placement on that."""
+
+    mesh: dict[str, Any]
+    body: int
+    placement: Float[Array, "4 4"]
+
+
+class Placed(NamedTuple):
+    """A scene and its motion, somewhere in a picture.
+
+    Attributes:
+        scene: The scene.
+        q: Joints at the times of the picture [rad or m], (K, n).
+        offset: Where its origin stands [m].
+        label: A word or two that stand above it.
+    """
+
+    scene: Scene
+    q: Float[np.ndarray, "K n"]
+    offset: Vector = np.zeros(3)
+    label: str = ""
+
+
+def packed(
+    t: Vector, shown: Sequence[Placed], *, title: str, caption: str, more: Mapping[str, Any] | None = None
+) -> bytes:
+    """Scenes and their motions in one picture as one compressed block, made for the page in `player.html`.
+
+    Args:
+        t: Times of the frames [s], increasing.
+        shown: Scenes.
+        title: Heading.
+        caption: Sentences below it.
+        more: Plain values that scripts of the page ask for.
+    """
+    joints = sum(each.scene._links for each in shown)
+    blocks: list[bytes] = []
+    stored: dict[object, list[dict[str, Any]]] = {}
+    head: dict[str, list[dict[str, Any]]] = {name: [] for name in ("parts", "paths", "traces", "obstacles", "labels")}
+    links: list[Array] = []
+    solids: list[Array] = []
+    for scene, q, offset, label in shown:
+        if len(t) != len(q):
+            raise InputError(f"joints are needed for each of {len(t)} times, got {len(q)} rows")
+        # The page counts the links of all robots first, then all obstacles.
+        own, first, later = scene._links, sum(x.shape[1] for x in links), joints + len(head["obstacles"])
+
+        def number(body: int, own: int = own, first: int = first, later: int = later) -> int:
+            return body if body < 0 else first + body if body < own else later + body - own
+
+        for mesh, body, placement in scene._parts(blocks, stored):
+            matrix = placement.copy()
+            if body < 0:
+                matrix[:3, 3] += offset
+            head["parts"].append({**mesh, "body": number(body), "matrix": matrix.T.ravel().tolist()})
+        for name, points in scene.paths.items():
+            head["paths"].append({"name": name, "points": _store(blocks, points + offset, "f4")})
+        for name, frame_name in scene.traces.items():
+            frame = scene.robot.model.frames[scene.robot.frame_id(frame_name)]
+            body, point = int(frame.parentJoint) - 1, frame.placement.translation
+            point = point + offset if body < 0 else point
+            head["traces"].append({"name": name, "body": number(body), "point": point.tolist()})
+        head["obstacles"] += [{"name": o.name, "color": o.color[:3]} for o in scene.obstacles]
+        head["labels"] += [{"text": label, "body": first, "own": own}] if label else []
+        poses = np.array([scene.poses(*frame) for frame in zip(t, q, strict=True)])
+        poses[:, :, :3] += offset
+        links.append(poses[:, :own])
+        solids.append(poses[:, own:])
+    header = {
+        "title": title,
+        "caption": caption,
+        "bodies": joints + len(head["obstacles"]),
+        "joints": joints,
+        **head,
+        **(more or {}),
+        "times": _store(blocks, t, "f8"),
+        "poses": _store(blocks, np.concatenate((*links, *solids), axis=1), "f4"),
+    }
+    text = json.dumps(header).encode()
+    text += b" " * (-(4 + len(text)) % 8)
+    return gzip.compress(len(text).to_bytes(4, "little") + text + b"".join(blocks), 9, mtime=0)
 
 
 def sampled(

@@ -12,6 +12,7 @@ import importlib.util
 import os
 import time
 import webbrowser
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -159,16 +160,18 @@ def _message(kind: int, times: Vector, poses: Array) -> bytes:
     return np.concatenate([[kind, times.size], times, poses.ravel()]).astype("<f4").tobytes()
 
 
-def page(packed: bytes, *, connect: str = "'none'") -> str:
+def page(packed: bytes, *, connect: str = "'none'", scripts: Sequence[str] = ()) -> str:
     """The page that draws a packed scene.
 
     Args:
         packed: Result of `Scene.pack`.
         connect: Content security policy for connections; a file needs none.
+        scripts: Scripts of a page that does more than to replay.
     """
     template = files("eos_pin.viewer").joinpath("player.html").read_text(encoding="utf-8")
-    for mark, text in (("@connect@", connect), ("@meshcat@", _meshcat()), ("@scene@", _text(packed))):
-        template = template.replace(mark, text, 1)
+    marks = {"connect": connect, "meshcat": _meshcat(), "scene": _text(packed), "scripts": "\n".join(scripts)}
+    for mark, text in marks.items():
+        template = template.replace(f"@{mark}@", text, 1)
     return template
 
 

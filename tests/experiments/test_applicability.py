@@ -106,6 +106,10 @@ REFUSED = [
     ("plan panda --tool-axis x", "a tool axis, 'x', does not apply"),
     ("ik panda --tool-axis x", "a tool axis, 'x', does not apply"),
     ("info panda --tool-axis x", "a tool axis, 'x', does not apply"),
+    ("selfmotion panda --tool-axis x", "a tool axis, 'x', does not apply"),
+    ("selfmotion panda --task pose --axes xy", "axes 'xy' do not apply"),
+    ("explore panda --tool-axis x", "a tool axis, 'x', does not apply"),
+    ("explore panda --task pose --axes xy", "axes 'xy' do not apply"),
     ("compare panda --task pose --axes xy", "axes 'xy' do not apply"),
     ("plan panda --task pose --axes xy", "axes 'xy' do not apply"),
     ("ik panda --task pose --axes xy", "axes 'xy' do not apply"),
@@ -155,6 +159,11 @@ REFUSED = [
     ("robots --view", "a list of robots cannot be drawn"),
     ("robots --bag a.bag", "a list of robots cannot be drawn"),
     ("robots --rerun a.rrd", "a list of robots cannot be drawn"),
+    *(
+        (f"selfmotion panda --task pose {option}", "does not apply: nothing moves here")
+        for option in ("--csv a.csv", "--bag a", "--rerun a.rrd", "--html a.html", "--view")
+    ),
+    ("selfmotion panda --plot a.png", "does not apply: the figure has the potential along a curve"),
     ("info panda --bag a.bag", "--bag a.bag does not apply"),
     ("info panda --rerun a.rrd", "--rerun a.rrd does not apply"),
 ]
@@ -175,6 +184,9 @@ ALWAYS = {
     "ik": f"{ROBOT} task q0 {FILES}",
     "replay": f"run {FILES}",
     "robots": "name out json",
+    "demo": "robot html",
+    "explore": f"{ROBOT} task q0 html",
+    "selfmotion": f"{ROBOT} task q0 at out json plot seed",
 }
 
 

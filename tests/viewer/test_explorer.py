@@ -1,0 +1,306 @@
+"""The explorer: its kinematics against the package, and its page in a browser."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import MARKS, Chromium, Page, wait_for
+
+from eos_pin import (
+    Chart,
+    EosError,
+    InputError,
+    OrientationTask,
+    PointAxisTask,
+    Robot,
+    Task,
+    load_robot,
+    make_task,
+    rest_posture,
+    self_motion_manifold,
+)
+from eos_pin.planning.obstacles.bodies import Bodies, Clearances
+from eos_pin.viewer import explorer
+from eos_pin.viewer.explorer import described, write_explorer
+
+KINEMATICS = Path(explorer.__file__).with_name("kinematics.js")
+NODE = shutil.which("node")
+needs_node = pytest.mark.skipif(NODE is None, reason="no Node on this machine; the browser tests run the same script")
+pytestmark = pytest.mark.usefixtures("unchecked")
+
+
+def computed(data: dict[str, Any], cases: Any, program: str) -> Any:
+    """Result of a program on the page's kinematics, with `robot`, `chart` and `cases` at hand."""
+    code = (
+        f"const K = require({json.dumps(str(KINEMATICS))});"
+        "const {data, cases} = JSON.parse(require('fs').readFileSync(0));"
+        "const robot = new K.Robot(data), V = Float64Array.from(data.V);"
+        "const chart = new K.Chart(robot, data.q, V, new Float64Array(robot.r)), zero = new Float64Array(robot.m);"
+        "const plain = (key, value) => ArrayBuffer.isView(value) ? Array.from(value) : value;"
+        f"console.log(JSON.stringify((() => {{ {program} }})(), plain));"
+    )
+    assert NODE
+    text = json.dumps({"data": data, "cases": cases})
+    run = subprocess.run([NODE, "-e", code], input=text, capture_output=True, text=True, timeout=120)
+    assert run.returncode == 0, run.stderr
+    return json.loads(run.stdout)
+
+
+def made(name: str, kind: str) -> tuple[Task, np.ndarray]:
+    robot = load_robot(name, chain_to="auto")
+    task = make_task(robot, kind)  # type: ignore[arg-type]
+    return task, rest_posture(task)
+
+
+def points(task: Task, chart: Chart, count: int, seed: int) -> list[np.ndarray]:
+    """Postures on a chart, well inside of it."""
+    random, found = np.random.default_rng(seed), []
+    while len(found) < count:
+        q = chart.q_bar + random.uniform(-0.5, 0.5, task.robot.n)
+        try:
+            if (
+                chart.margin(task.linearize(q)[1]) > 0.5
+                and np.abs(chart.inverse(task.value(q), chart.v(q)).q - q).max() < 1e-6
+            ):
+                found.append(q)
+        except EosError:
+            continue
+    return found
+
+
+ROBOTS = [
+    ("panda", "pose"),
+    ("xarm7", "position"),
+    ("kinova", "position"),
+    ("planar_chain_10", "position"),
+    ("ppr", "position"),
+    ("talos_left_arm", "orientation"),
+    ("ppr", "heading"),
+]
+
+
+@needs_node
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "kind"), ROBOTS)
+def test_page_computes_the_joints_that_the_package_does(name: str, kind: str) -> None:
+    task, q = made(name, kind)
+    chart = Chart.from_base(task, q)
+    data, _ = described(task, q, self_collision=False)
+    states = points(task, chart, 1000, 1)
+    cases = [{"z": task.value(x).tolist(), "v": chart.v(x).tolist()} for x in states]
+    program = "return cases.map(({z, v}) => chart.inverse(z, v, zero)?.q ?? null);"
+    found = computed(data, cases, program)
+    lost = [k for k, y in enumerate(found) if y is None]
+    # From the base point Newton's method alone may lead astray; a walk, as in the package, does not.
+    assert len(lost) <= 20
+    if lost:
+        walked = computed(
+            data,
+            [cases[k] for k in lost],
+            "return cases.map(({z, v}) => { const p = new K.Posture(robot, data.q, V); p.moveTo(z, v);"
+            "return p.charts > 1 ? null : p.q; });",
+        )
+        for k, y in zip(lost, walked, strict=True):
+            found[k] = y
+    pairs = [(y, x) for y, x in zip(found, states, strict=True) if y is not None]
+    assert len(pairs) >= 990
+    assert max(np.abs(np.array(y) - x).max() for y, x in pairs) < 1e-9
+
+
+@needs_node
+@pytest.mark.parametrize(("name", "kind"), ROBOTS[:4])
+def test_page_changes_charts_as_the_package_does(name: str, kind: str) -> None:
+    task, q = made(name, kind)
+    chart = Chart.from_base(task, q)
+    data, _ = described(task, q, self_collision=False)
+    states = points(task, chart, 5, 2)
+    program = (
+        "return cases.map(q => { const c = chart.next(q), {J} = robot.evaluate(q);"
+        "return [c.V, c.v, chart.margin(J)]; });"
+    )
+    for (V, v, margin), x in zip(computed(data, [x.tolist() for x in states], program), states, strict=True):
+        after = Chart.from_base(task, x, previous=chart)
+        assert np.abs(np.reshape(V, after.V.shape) - after.V).max() < 1e-12
+        assert np.abs(v - after.v_bar).max() < 1e-12
+        assert margin == pytest.approx(chart.margin(task.linearize(x)[1]), abs=1e-12)
+
+
+@needs_node
+@pytest.mark.parametrize(("name", "kind"), ROBOTS[:3])
+def test_page_computes_gravity_and_distances(name: str, kind: str) -> None:
+    task, q = made(name, kind)
+    robot = task.robot
+    data, _ = described(task, q)
+    states = points(task, Chart.from_base(task, q), 5, 3)
+    program = (
+        "return cases.map(q => { const {J} = robot.evaluate(q), {energy, torque} = robot.gravityLoad();"
+        "return [energy, torque, robot.clearance(), robot.manipulability(J)]; });"
+    )
+    clearances = Clearances(Bodies.fitted(robot))
+    for (energy, torque, apart, seen), x in zip(
+        computed(data, [x.tolist() for x in states], program), states, strict=True
+    ):
+        assert energy == pytest.approx(robot.potential_energy(x), abs=1e-9)
+        assert np.abs(torque - robot.gravity(x)).max() < 1e-9
+        assert apart == pytest.approx(float(clearances.pairs(x[:, None]).min()), abs=1e-9)
+        sigma = np.linalg.svd(task.linearize(x)[1], compute_uv=False)
+        assert seen["value"] == pytest.approx(sigma.prod())
+        assert seen["ratio"] == pytest.approx(sigma[-1] / sigma[0])
+
+
+@needs_node
+@pytest.mark.parametrize(("name", "kind"), [("panda", "pose"), ("xarm7", "pose"), ("ppr", "position")])
+def test_page_traces_the_component_that_the_package_does(name: str, kind: str) -> None:
+    task, q = made(name, kind)
+    data, _ = described(task, q, self_collision=False)
+    seen = computed(data, [], "return K.trace(robot, data.q, chart.z);")
+    manifold = self_motion_manifold(task, task.value(q), starts=[q])
+    component = next(each for each in manifold.components if each.locate(q).distance < 1e-9)
+    assert seen["closed"] == component.closed
+    assert seen["s"][-1] == pytest.approx(component.length, rel=1e-2)
+    assert max(np.abs(task.minus(task.value(np.array(x)), manifold.z)).max() for x in seen["nodes"]) < 1e-9
+    assert max(component.locate(np.array(x)).distance for x in seen["nodes"][::10]) < 1e-6
+
+
+@needs_node
+def test_page_reads_rotations_near_half_a_turn() -> None:
+    import pinocchio as pin
+
+    task = OrientationTask(load_robot("panda", chain_to="panda_hand_tcp"), "panda_hand_tcp")
+    q = np.array([0.0, 0.3, 0.0, -1.8, 0.0, 1.6, 0.1])
+    data, _ = described(task, q, self_collision=False)
+    random, cases = np.random.default_rng(4), []
+    for size in (0.0, 1e-9, 1e-4, 1.0, 3.0, 3.14, 3.1415, np.pi - 1e-7):
+        axis = random.normal(size=3)
+        R0 = pin.exp3(random.normal(size=3))
+        delta = size * axis / np.linalg.norm(axis)
+        cases.append({"delta": delta.tolist(), "R": R0.ravel().tolist()})
+    program = "return cases.map(({delta, R}) => { const z = robot.plus(R, delta); return [z, robot.minus(z, R)]; });"
+    for (z, back), case in zip(computed(data, cases, program), cases, strict=True):
+        delta = np.array(case["delta"])
+        assert np.abs(z - task.plus(np.array(case["R"]), delta)).max() < 1e-12
+        assert np.abs(back - delta).max() < 1e-7
+
+
+@needs_node
+def test_page_stays_on_the_task_all_round_the_loop() -> None:
+    task, q = made("panda", "pose")
+    data, _ = described(task, q, self_collision=False)
+    # Twice round, over many charts; and out of reach, where it stops.
+    program = (
+        "const p = new K.Posture(robot, data.q, V), z = p.z, errors = [];"
+        "for (let k = 0; k < 300; k++) { p.moveTo(z, p.v.map(x => x + .1)); errors.push(p.error(z)); }"
+        "const charts = p.charts, far = z.map((x, i) => i < 3 ? x + 5 : x), part = p.moveTo(far, p.v);"
+        "return [Math.max(...errors), charts, part, p.error(), p.q];"
+    )
+    worst, charts, part, left, ended = computed(data, [], program)
+    assert worst < 1e-9
+    assert charts > 5
+    assert 0.0 <= part < 0.5
+    assert left < 1e-9
+    assert np.isfinite(ended).all()
+
+
+def test_explorer_refuses_tasks_and_robots_without_formulas(panda: Robot, tmp_path: Path) -> None:
+    q = np.array([0.0, 0.3, 0.0, -1.8, 0.0, 1.6, 0.1])
+    with pytest.raises(InputError, match=r"formulas for the tasks position, orientation, pose, heading"):
+        write_explorer(tmp_path / "a.html", PointAxisTask(panda, "panda_hand_tcp"), q)
+    ur5 = load_robot("ur5", chain_to="tool0")
+    with pytest.raises(InputError, match="no self-motion to explore"):
+        write_explorer(tmp_path / "a.html", make_task(ur5, "pose"), rest_posture(make_task(ur5, "pose")))
+    assert not list(tmp_path.iterdir())
+
+
+# -- the page ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Chromium]:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        browser = Chromium(profile)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    task, q = made("panda", "pose")
+    return write_explorer(tmp_path_factory.mktemp("explorer") / "panda.html", task, q)
+
+
+def drag(page: Page, handle: int, right: float, down: float) -> None:
+    """Take a handle with the mouse and move it by some pixels."""
+    x, y = page.js(f"explorer.onScreen(explorer.handles[{handle}].at)")
+    page.do("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, button="left", clickCount=1)
+    for k in range(1, 6):
+        where = {"x": x + k * right / 5, "y": y + k * down / 5}
+        page.do("Input.dispatchMouseEvent", type="mouseMoved", **where, button="left", buttons=1)
+    page.do("Input.dispatchMouseEvent", type="mouseReleased", x=x + right, y=y + down, button="left", clickCount=1)
+
+
+def state(page: Page) -> dict[str, Any]:
+    return page.js(
+        "({z: Array.from(explorer.posture.z), v: Array.from(explorer.posture.v), q: Array.from(explorer.posture.q),"
+        "error: explorer.posture.error(), milliseconds: explorer.milliseconds})"
+    )
+
+
+@MARKS[0]
+@MARKS[1]
+def test_explorer_moves_task_and_self_motion_by_hand(chromium: Chromium, written: Path) -> None:
+    assert written.stat().st_size < 4e6
+    task, _ = made("panda", "pose")
+    page = chromium.open(written.as_uri())
+    wait_for(lambda: page.js("explorer.loop() !== null"), 20.0)
+    start = state(page)
+    drag(page, 1, -60.0, 15.0)
+    elbow = state(page)
+    assert np.abs(np.array(elbow["v"]) - start["v"]).max() > 0.05
+    # By the package: the task has not moved.
+    assert np.abs(task.minus(task.value(np.array(elbow["q"])), np.array(start["z"]))).max() < 1e-9
+    assert np.abs(np.array(elbow["z"]) - start["z"]).max() < 1e-12
+    drag(page, 0, 30.0, -40.0)
+    hand = state(page)
+    assert np.abs(np.array(hand["z"]) - elbow["z"])[:3].max() > 0.02
+    assert np.abs(np.array(hand["z"]) - elbow["z"])[3:].max() < 1e-9
+    assert np.abs(np.array(hand["v"]) - elbow["v"]).max() < 1e-9
+    assert np.abs(task.minus(task.value(np.array(hand["q"])), np.array(hand["z"]))).max() < 1e-9
+    # The keyboard moves what the sliders do.
+    page.js("document.querySelector('[aria-label=\"Self-motion coordinate 1\"]').focus()")
+    for kind in ("keyDown", "keyUp"):
+        page.do("Input.dispatchKeyEvent", type=kind, key="ArrowRight", code="ArrowRight", windowsVirtualKeyCode=39)
+    keyed = state(page)
+    assert keyed["v"][0] != hand["v"][0]
+    assert keyed["error"] < 1e-9
+    assert all(url.startswith(("file://", "data:", "blob:")) for url in page.requests())
+    assert len([url for url in page.requests() if url.startswith("file://")]) == 1
+    assert not page.troubles()
+    page.close()
+
+
+@MARKS[0]
+@MARKS[1]
+def test_explorer_fits_a_narrow_screen(chromium: Chromium, written: Path) -> None:
+    narrow = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    page = chromium.open(written.as_uri(), before=(("Emulation.setDeviceMetricsOverride", narrow),))
+    boxes = page.js(
+        "[...document.querySelectorAll('#panel input, #panel canvas, #panel button, #view canvas')]"
+        ".map(e => e.getBoundingClientRect()).map(b => [b.left, b.right])"
+    )
+    assert len(boxes) >= 10
+    assert all(left >= -0.5 and right <= 390.5 for left, right in boxes)
+    below, above = page.js(
+        "[document.getElementById('panel').getBoundingClientRect().top,"
+        "document.querySelector('#view canvas').getBoundingClientRect().bottom]"
+    )
+    assert above <= below + 1.0
+    assert not page.troubles()
+    page.close()
