@@ -264,6 +264,19 @@ const Kinematics = (() => {
     return Math.hypot(...w.map((x, i) => x + s * u[i] - t * v[i]));
   }
 
+  /** Largest difference of a joint. */
+  const apart = (q, other) => q.reduce((most, x, i) => Math.max(most, Math.abs(x - other[i])), 0);
+  /** Go the way from 0 to 1 in steps as long as `visit` succeeds with: the part that was reached. */
+  function walk(visit) {
+    let reached = 0, step = 1;
+    while (reached < 1 && step >= SHORTEST) {
+      const ahead = Math.min(1, reached + step), good = visit(ahead);
+      if (good) reached = ahead;
+      step *= good ? 2 : .5;
+    }
+    return reached;
+  }
+
   // -- charts ----------------------------------------------------------------------------------------------------------
   /** A neighbourhood of q on which (z, v) are coordinates; V and v go on from the previous chart. */
   class Chart {
@@ -332,6 +345,19 @@ const Kinematics = (() => {
       }
       return null;
     }
+    /** Joints y(z, v), where need be by a walk along the straight line from the base point; null where the chart ends before. */
+    reach(z, v) {
+      const { robot } = this, delta = robot.minus(z, this.z);
+      let found = { q: this.q, u: new Float64Array(robot.m) };
+      const part = walk(ahead => {
+        const next = this.inverse(ahead === 1 ? z : robot.plus(this.z, delta.map(x => ahead * x)), this.v.map((x, i) => x + ahead * (v[i] - x)), found.u);
+        // Newton's method may find another posture with the same z and v; the near one is connected.
+        const good = next && apart(next.q, found.q) <= LONGEST;
+        if (good) found = next;
+        return good;
+      });
+      return part < 1 ? null : found;
+    }
   }
 
   /** A posture that moves in (z, v) from chart to chart. */
@@ -357,20 +383,15 @@ const Kinematics = (() => {
     /** Go on the straight line to (z, v), as far as the robot can: the part of the way that was reached. */
     moveTo(z, v) {
       const { robot } = this, z0 = this.z, v0 = this.v, delta = robot.minus(z, z0);
-      let reached = 0, step = 1;
-      while (reached < 1) {
-        if (step < SHORTEST) break;
-        const ahead = Math.min(1, reached + step);
+      return walk(ahead => {
         const goal = ahead === 1 ? z : robot.plus(z0, delta.map(x => ahead * x)), target = v0.map((x, i) => x + ahead * (v[i] - x));
         const found = this.chart.inverse(goal, target, this.u);
-        if (!found || Math.max(...found.q.map((x, i) => Math.abs(x - this.q[i]))) > LONGEST || this.chart.margin(found.J) < .3) { step *= .5; continue; }
+        if (!found || apart(found.q, this.q) > LONGEST || this.chart.margin(found.J) < .3) return false;
         this.settle(found.q, found.u);
         // The last point that was asked for, lest rounding gather from move to move.
         this.z = goal;
-        reached = ahead;
-        step *= 2;
-      }
-      return reached;
+        return true;
+      });
     }
     /** Jump to other joints; v starts anew at zero. */
     jump(q) {
