@@ -54,7 +54,9 @@ def write_reference(_app: Any = None) -> None:
             kind = (
                 "function" if not isinstance(thing, type) else "exception" if issubclass(thing, Exception) else "class"
             )
-            lines += [f".. auto{kind}:: eos_pin.{name}", *(["   :members:"] if kind == "class" else []), ""]
+            lines += [f".. auto{kind}:: eos_pin.{name}", *(["   :members:"] if kind == "class" else [])]
+            # Methods of a base that has no page of its own.
+            lines += ["   :inherited-members:"] * (name == "Chart") + [""]
         page = folder / f"{room}.rst"
         text = "\n".join(lines)
         # An unchanged page is not built again.

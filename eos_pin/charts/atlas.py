@@ -30,7 +30,7 @@ from eos_pin._arrays import (
 )
 from eos_pin.charts._newton import Inverse, walk
 from eos_pin.charts.chart import Chart
-from eos_pin.charts.metric import MetricLike, checked_metric
+from eos_pin.charts.metric import MetricLike, checked_metric, metric_name
 from eos_pin.charts.search import Search
 from eos_pin.charts.solutions import STRATEGIES, IkSolution, JointPath, Strategy
 from eos_pin.errors import InputError, InverseError, Renamed, SingularError
@@ -70,6 +70,10 @@ class Atlas(Checked):
         number(self.threshold, "threshold", above=0.0)
         if self.threshold >= 1.0:
             raise InputError(f"threshold must be below 1, where charts end at once; got {self.threshold}")
+
+    def describe(self) -> dict[str, Any]:
+        """Description in plain values, for records of runs."""
+        return {"threshold": self.threshold, "metric": metric_name(self.metric)}
 
     @checked
     def start(self, q: JointsLike) -> Chart:

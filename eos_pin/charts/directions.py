@@ -41,19 +41,7 @@ EDGE = "G'U is singular: this configuration is on the edge of the chart; make a 
 class Directions(Checked):
     """Directions U and V at a base configuration, and the linear maps that are made of them.
 
-    Attributes:
-        task: The task z = G(q).
-        q_bar: Base configuration.
-        z_bar: Its task point.
-        v_bar: Its self-motion coordinates, (r,).
-        U: A⁻¹G'ᵀ at q_bar, (n, m); Eq. (10), where A = I.
-        B_bar: (G'U)⁻¹, (m, m); Eq. (15) at q_bar.
-        basis: Orthonormal basis V of the Jacobian's null space at q_bar; for many joints it is not written out.
-        row_basis: Orthonormal basis of its row space there, (n, m).
-        metric: The metric A, as it was given.
-        weights: A at q_bar; None for the identity.
-        dual: W with WᵀV = I and WᵀU = 0; V itself where A = I.
-        u_basis: Orthonormal basis of the columns of U, (n, m); `row_basis` itself where A = I.
+    Its attributes are described at `Chart`, the class for use.
     """
 
     task: Task

@@ -25,7 +25,6 @@ from eos_pin._kernels.dispatch import DONE
 from eos_pin._kernels.overrides import stands_for
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
-from eos_pin.charts.metric import metric_name
 from eos_pin.control._regularize import AccelerationMap
 from eos_pin.control.base import ControlReport, TaskController
 from eos_pin.control.objectives import Objective, Track
@@ -251,8 +250,7 @@ class EosController(TaskController):
     def describe(self) -> dict[str, Any]:
         return super().describe() | {
             "self_motion": type(self.self_motion).__name__,
-            "threshold": self.atlas.threshold,
-            "metric": metric_name(self.atlas.metric),
+            **self.atlas.describe(),
             "smooth": self.smooth,
         }
 

@@ -13,7 +13,6 @@ from eos_pin._arrays import Array, JointVector, Vector, checked, number
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.charts.dynamics import couplings
-from eos_pin.charts.metric import metric_name
 from eos_pin.control.kinematic import KinematicLoop
 from eos_pin.control.objectives import Objective
 from eos_pin.errors import EosError, InputError, SingularError
@@ -102,8 +101,7 @@ def simulate_kinematic(
     controller = {
         "kind": "KinematicLoop",
         "self_motion": type(loop.self_motion).__name__,
-        "threshold": loop.atlas.threshold,
-        "metric": metric_name(loop.atlas.metric),
+        **loop.atlas.describe(),
     }
     run = joint_run(
         task, t, Q, np.array([path(s).z for s in t]), dq=dQ, period=path.period, status=status, message=message,

@@ -13,6 +13,7 @@ from eos_pin import (
     DescendPotential,
     EosController,
     Hold,
+    ImpedanceController,
     KinematicLoop,
     LimitedEosController,
     PoseTask,
@@ -20,6 +21,7 @@ from eos_pin import (
     Posture,
     ReduceKineticEnergy,
     Result,
+    TaskForce,
     TaskSpaceDynamics,
     Track,
     circle,
@@ -125,7 +127,8 @@ def test_saved_runs_know_the_metric_and_the_coupling(panda, tmp_path):
         atlas = Atlas(task, metric=metric)
         run = simulate_extended(panda, controller, READY, atlas=atlas, duration=0.05)
         assert run.info["arguments"]["metric"] == name
-        assert EosController(task, controller.reference, atlas=atlas).describe()["metric"] == name
+        for kind in (EosController, ImpedanceController):
+            assert kind(task, controller.reference, atlas=atlas).describe()["metric"] == name
         assert 0.1 < run.summary()["coupling"]["median"] <= run.summary()["coupling"]["max"] < 1.0
 
 
@@ -144,3 +147,15 @@ def test_inertial_charts_give_the_dynamically_consistent_law_at_their_base(panda
     np.testing.assert_allclose(controller.torque(0.0, READY, dq, state), expected, atol=1e-9)
     # So a stiffness in v is that of the consistent projector: V Wᵀ = N = I − M⁻¹G'ᵀΛG'.
     np.testing.assert_allclose(state.chart.V @ state.chart.W.T, dynamics.Nt.T, atol=1e-9)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_push_at_the_tool_leaves_a_soft_elbow_where_it_is_on_inertial_charts(panda):
+    """At the base a force on the task accelerates no self-motion; impedance keeps the robot's own inertia."""
+    task, moved = PoseTask(panda, tip(panda)), {}
+    push = TaskForce(PositionTask(panda, tip(panda)), lambda t: (t < 0.2) * np.array([6.0, -6.0, 5.0]))
+    for metric in ("identity", "inertial"):
+        controller = ImpedanceController(task, Hold(task.value(READY), 6), atlas=Atlas(task, metric=metric))
+        run = simulate(panda, controller, READY, duration=0.5, task_force=push)
+        moved[metric] = np.abs(run.v).max()
+    assert 5.0 * moved["inertial"] < moved["identity"]

@@ -328,7 +328,7 @@ class ImpedanceController(Controller):
             "tank": self.tank,
             "robot": self.robot.name,
             "reference": HERE if self.reference is None else type(self.reference).__name__,
-            "threshold": self.atlas.threshold,
+            **self.atlas.describe(),
         }
 
 
