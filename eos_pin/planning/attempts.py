@@ -18,7 +18,6 @@ from eos_pin.planning.problem import Problem, told
 from eos_pin.planning.refine import ROUNDS, STEPS, Course, refine, without_bounds
 from eos_pin.planning.search import Failure, Layers, Ticked
 from eos_pin.planning.whole import WholeLayers
-from eos_pin.trajectories.through import sampled
 
 #: Postures in a layer by redundancy; three and more have the last.
 POSTURES = (60, 100, 240, 120)
@@ -182,9 +181,8 @@ class Search:
         grid, problem = self.grid, self.problem
         rows = grid.rows(stride)
         dt, total = grid.dt_between(rows), 2 * len(rows)
-        between = sampled(grid.path, grid.times[rows] + 0.5 * dt)
         tick: Ticked = lambda done: self.progress("search", done / total)  # noqa: E731
-        whole = WholeLayers(problem, grid.Z[rows], dt, between, self.seed, tick)
+        whole = WholeLayers(problem, grid.Z[rows], dt, grid.between(rows), self.seed, tick)
         self._take(whole.ways(self.most), Course(problem, whole.Z, dt, True), rows, stride > 1)
         if whole.wound:
             self.notes.append(
@@ -208,7 +206,8 @@ class Search:
         total = len(rows) * (2 if grid.closed else 1)
         layers = Layers(
             problem, grid.Z[rows], dt, grid.closed, attempt.count, step, self.reconfigurations,
-            self.seed + 1000 * attempt.seed, self.end, lambda done: self.progress("search", min(done / total, 1.0)),
+            self.seed + 1000 * attempt.seed, grid.between(rows), self.end,
+            lambda done: self.progress("search", min(done / total, 1.0)),
         )  # fmt: skip
         failure = layers.grow(None if self.start is None else self.start[:, None])
         if failure is not None:

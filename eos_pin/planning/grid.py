@@ -78,6 +78,13 @@ class Grid:
         """Time from each of some points to the next of them."""
         return self.summed(self.dt[:, None], rows)[:, 0]
 
+    def between(self, rows: Int[Array, " l"]) -> Float[Array, "l size"]:
+        """Task points halfway from each of some points to the next of them; the last of an open path itself."""
+        half = 0.5 * self.dt_between(rows)
+        if not self.closed:
+            half[-1] = 0.0
+        return sampled(self.path, self.times[rows] + half)
+
     def summed(self, values: Float[Array, "L k"], rows: Int[Array, " l"]) -> Float[Array, "l k"]:
         """Sums of values from each of some points to the next of them."""
         return np.add.reduceat(values, rows, axis=0)

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from eos_pin._arrays import Array
 from eos_pin._kernels.ways import Steps, closed_ways, open_ways
+from eos_pin.planning.courses import is_near
 from eos_pin.planning.problem import Bar, Problem
 
 #: Longest self-motion between two layers, in radians.
@@ -26,6 +27,8 @@ NEIGHBOURS = 12
 INCOMING = 4
 #: Self-motion shorter than this is not looked at halfway.
 SHORT = 0.12
+#: Most searches for ways, each without the steps that the one before turned out to jump with.
+SEARCHES = 12
 #: Called with the number of layers done; it may raise to stop.
 Ticked: TypeAlias = Callable[[int], None]
 #: Odd numbers that make one of the coordinates of a cell.
@@ -62,6 +65,7 @@ class Layers:
         step: Longest step of each joint between layers, (L, n); None without a bound.
         jumps: Whether reconfigurations are allowed.
         seed: Seed of the random postures.
+        between: Task points halfway from each layer to the next, (L, size).
         goal: Joints to end at, (n,); None for any.
         tick: Called with the number of layers done; it may raise to stop.
     """
@@ -74,6 +78,7 @@ class Layers:
     step: Float[Array, "L n"] | None = None
     jumps: bool = False
     seed: int = 0
+    between: Float[Array, "L size"] | None = None
     goal: Array | None = None
     tick: Ticked = lambda done: None
     nodes: list[Array] = field(default_factory=list)
@@ -304,12 +309,59 @@ class Layers:
     # -- the best ways through -----------------------------------------------------------------------------------------
 
     def ways(self, most: int = 4) -> list[Array]:
-        """The best ways through the layers that differ, as joints (L, n)."""
+        """The best ways through the layers that differ, as joints (L, n); no step is a jump where none is allowed."""
+        if self.jumps or self.between is None:
+            return self._ways(most)
+        return unbroken(self.problem, lambda: self._ways(most), self.nodes, self.steps, self.between)
+
+    def _ways(self, most: int) -> list[Array]:
         if self.closed:
             return closed_ways(self.nodes, self.steps, self.problem.scale, most)
         first = self.dt[0] * self.problem.cost(self.nodes[0])
         end = None if self.goal is None else 0
         return open_ways(self.nodes, self.steps, self.problem.scale, most, first, end=end, jumps=self.jumps)
+
+
+def unbroken(
+    problem: Problem,
+    find: Callable[[], list[Array]],
+    nodes: list[Array],
+    steps: list[Steps],
+    between: Float[Array, "L size"],
+    motion: Callable[[Array, Array], Array] = lambda a, b: b - a,
+) -> list[Array]:
+    """Ways that do not jump: joints halfway along each step are near the manifold there.
+
+    Close to a singularity branches nearly meet, and steps lead from one to the other. Such steps are left out, and the
+    ways are searched for again.
+
+    Args:
+        problem: The problem.
+        find: Searches for the best ways through the layers by their steps.
+        nodes: Postures of the layers.
+        steps: Steps from each layer to the next; those that jump are taken out.
+        between: Task points halfway along them.
+        motion: Motion from postures to others.
+    """
+
+    def continuous(a: Array, b: Array, Z: Array) -> Bool[Array, " K"]:
+        way = motion(a, b)
+        middle = a + 0.5 * way
+        on, found = problem.manifold.project(middle, Z, iterations=10)
+        return is_near(on, found, middle, way)
+
+    L, found = len(steps), list[Array]()
+    for _ in range(SEARCHES):
+        found, broken = find(), np.zeros(L, bool)
+        for way in found:
+            broken |= ~continuous(way[:L].T, np.roll(way, -1, axis=0)[:L].T, between[:L].T)
+        if not broken.any():
+            break
+        for i in np.flatnonzero(broken).tolist():
+            start, end, cost = steps[i]
+            kept = continuous(nodes[i][:, start], nodes[(i + 1) % len(nodes)][:, end], between[i][:, None])
+            steps[i] = Steps(start[kept], end[kept], cost[kept])
+    return found
 
 
 def connected(

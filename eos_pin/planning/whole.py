@@ -16,10 +16,9 @@ from eos_pin._arrays import Array
 from eos_pin._kernels.kinematics import Kinematics
 from eos_pin._kernels.ways import Steps, closed_ways
 from eos_pin.errors import SingularError
-from eos_pin.planning.courses import is_near
 from eos_pin.planning.manifolds.components import Component
 from eos_pin.planning.problem import TAU, Problem
-from eos_pin.planning.search import SHORT, Ticked, connected
+from eos_pin.planning.search import SHORT, Ticked, connected, unbroken
 
 #: Distance of neighbouring postures along a component [rad].
 SPACING = 0.12
@@ -31,8 +30,6 @@ FIRST, FURTHER = 300, 16
 CARRIED = 6
 #: Largest step of one joint from node to node of a trace [rad].
 TRACE = 0.12
-#: Most searches for ways, each without the steps that the one before turned out to jump with.
-SEARCHES = 12
 
 
 @dataclass
@@ -109,31 +106,12 @@ class WholeLayers:
         order = np.roll(np.arange(L), -first)
         steps = [self._steps(k, int(order[(i + 1) % L]), nodes) for i, k in enumerate(order.tolist())]
         layers = [nodes[k] for k in order]
-        for _ in range(SEARCHES):
-            found = closed_ways(layers, steps, self.problem.scale, most)
-            broken = np.zeros(L, bool)
-            for way in found:
-                broken |= ~self._continuous(way.T, np.roll(way, -1, axis=0).T, self.between[order].T)
-            if not broken.any():
-                break
-            # Close to a singularity branches nearly meet, and steps lead from one to the other.
-            for i in np.flatnonzero(broken).tolist():
-                start, end, cost = steps[i]
-                kept = self._continuous(
-                    layers[i][:, start], layers[(i + 1) % L][:, end], self.between[order[i]][:, None]
-                )
-                steps[i] = Steps(start[kept], end[kept], cost[kept])
+        found = unbroken(
+            self.problem, lambda: closed_ways(layers, steps, self.problem.scale, most), layers, steps,
+            self.between[order], self._way,
+        )  # fmt: skip
         unrolled = (self._unrolled(np.roll(way, first, axis=0)) for way in found)
         return [way for way in unrolled if way is not None]
-
-    def _continuous(
-        self, a: Float[Array, "n K"], b: Float[Array, "n K"], Z: Float[Array, "size #K"]
-    ) -> Bool[Array, " K"]:
-        """Whether joints halfway between postures are near the manifold halfway, so that the motion is no jump."""
-        motion = self._way(a, b)
-        middle = a + 0.5 * motion
-        on, found = self.problem.manifold.project(middle, Z, iterations=10)
-        return is_near(on, found, middle, motion)
 
     def _nodes(self) -> list[Array] | None:
         """Allowed postures of each layer; None where a layer has none."""

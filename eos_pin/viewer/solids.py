@@ -6,12 +6,13 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from eos_pin.planning.obstacles.bodies import hull
 from eos_pin.planning.obstacles.clearance import Obstacle
 from eos_pin.planning.obstacles.scene import Scene, rotation
 
 
 def obstacles_of(solids: Scene | None) -> list[Obstacle]:
-    """Scene as the viewer has them."""
+    """Scene as the viewer has them; meshes as the hulls they count as."""
     if solids is None:
         return []
     made = [
@@ -26,4 +27,5 @@ def obstacles_of(solids: Scene | None) -> list[Obstacle]:
             continue
         turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end - start).toRotationMatrix()
         made.append(Obstacle(coal.Capsule(capsule.radius, length), pin.SE3(turn, 0.5 * (start + end)), capsule.name))
+    made += [Obstacle(hull(np.asarray(mesh.vertices)), pin.SE3.Identity(), mesh.name) for mesh in solids.meshes]
     return made

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from eos_pin import InputError, PositionTask, circle, load_robot
+from eos_pin._kernels.ways import Steps, open_ways
 from eos_pin.errors import PlanError
 from eos_pin.planning.obstacles.bodies import Bodies
 from eos_pin.planning.obstacles.scene import Box, Capsule, Scene
 from eos_pin.planning.planner import plan
+from eos_pin.planning.problem import problem_of
+from eos_pin.planning.search import unbroken
+from eos_pin.tasks.batch import Manifold
 
 JOINT = """<link name="link{k}"/><joint name="joint{k}" type="{kind}"><parent link="link{before}"/>
 <child link="link{k}"/><origin xyz="{x} 0 0"/><axis xyz="0 0 1"/></joint>"""
@@ -61,6 +67,29 @@ def test_refusal_names_the_way_point_out_of_reach(task):
         plan(task, path, effort=1)
     assert refused.value.waypoint == 2
     assert "to way point 3" in str(refused.value) or "from way point 2 to 3" in str(refused.value)
+
+
+def test_box_around_the_base_is_refused_by_name(task):
+    scene = Scene([Box([0.0, 0.0, 0.2], [0.4, 0.4, 0.6], name="crate")])
+    with pytest.raises((InputError, PlanError), match="'crate'"):
+        plan(task, [[0.5, 0.0, 0.4], [0.5, 0.1, 0.4]], scene=scene, effort=1)
+
+
+def test_ways_are_without_steps_that_jump_from_branch_to_branch(two_links):
+    """Near the end of its reach the elbow is left or right, and steps that change sides cost nothing."""
+    task = PositionTask(two_links, "link3", "xy")
+    angles, half = np.linspace(0.0, 0.4, 5), np.arccos(0.95)
+    nodes = [np.array([[a - half, a + half], [2.0 * half, -2.0 * half]]) for a in angles]
+    Z = [1.9 * np.column_stack((np.cos(a), np.sin(a))) for a in (angles, angles + 0.05)]
+    np.testing.assert_allclose([task.value(Q[:, 1]) for Q in nodes], Z[0], atol=1e-12)
+    start, end = np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])
+    steps = [Steps(start, end, (start == end).astype(float)) for _ in angles[1:]]
+    problem = problem_of(Manifold(task), None, None, False, 0.0, 0.0, None, None, 1.0)
+    find = partial(open_ways, nodes, steps, np.ones(2), 4, np.zeros(2))
+    assert any((np.abs(np.diff(way, axis=0)) > 1.0).any() for way in find())
+    found = unbroken(problem, find, nodes, steps, Z[1])
+    assert len(found) == 2
+    assert max(np.abs(np.diff(way, axis=0)).max() for way in found) < 0.11
 
 
 @pytest.mark.parametrize(

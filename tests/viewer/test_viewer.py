@@ -27,10 +27,13 @@ from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
 from eos_pin.errors import InputError, OutputError, UnknownNameError, ViewerError
+from eos_pin.planning.obstacles.scene import Mesh
+from eos_pin.planning.obstacles.scene import Scene as Solids
 from eos_pin.robot.loading import load_robot
 from eos_pin.robot.model import Robot
 from eos_pin.viewer._meshes import skeleton, solid_mesh
 from eos_pin.viewer.scene import Obstacle, Scene, sampled
+from eos_pin.viewer.solids import obstacles_of
 from eos_pin.viewer.viewer import Viewer, write_html
 
 REST = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.8, 0.8])
@@ -137,6 +140,16 @@ def test_solids_have_their_volume(a: float, b: float, c: float) -> None:
         shape.computeLocalAABB()
         np.testing.assert_allclose(mesh.vertices.min(axis=0), shape.aabb_local.min_, atol=0.02 * max(a, b, c))
         np.testing.assert_allclose(mesh.vertices.max(axis=0), shape.aabb_local.max_, atol=0.02 * max(a, b, c))
+
+
+def test_meshes_of_plans_are_drawn_as_their_hulls() -> None:
+    corners = np.array([[x, y, z] for x in (0.4, 0.5) for y in (0.0, 0.2) for z in (0.3, 0.6)])
+    (found,) = obstacles_of(Solids(meshes=[Mesh(np.vstack((corners, [[0.45, 0.1, 0.4]])), "part")]))
+    mesh = solid_mesh(found.shape)
+    assert found.name == "part"
+    np.testing.assert_allclose(np.unique(mesh.vertices, axis=0), np.unique(corners, axis=0), atol=1e-6)
+    x, y, z = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    assert np.einsum("ij,ij->", x, np.cross(y, z)) / 6.0 == pytest.approx(0.1 * 0.2 * 0.3)
 
 
 def test_half_space_cannot_be_drawn(ppr: Robot) -> None:

@@ -254,7 +254,7 @@ class Clearances:
 
     @cached_property
     def _hulls(self) -> list[coal.CollisionGeometry]:
-        return [_hull(np.asarray(mesh.vertices)) for mesh in self.scene.meshes]
+        return [hull(np.asarray(mesh.vertices)) for mesh in self.scene.meshes]
 
     def _from_meshes(self, a: Array, b: Array) -> Array:
         out = np.empty((len(self._meshed), a.shape[2]))
@@ -348,7 +348,8 @@ def _volume(capsule: Capsule) -> float:
     return float(np.pi * capsule.radius**2 * (length + 4.0 / 3.0 * capsule.radius))
 
 
-def _hull(points: Array) -> coal.CollisionGeometry:
+def hull(points: Array) -> coal.CollisionGeometry:
+    """Convex hull of points, (k, 3)."""
     mesh = coal.BVHModelOBBRSS()
     mesh.beginModel(len(points), len(points))
     for i in range(len(points)):
