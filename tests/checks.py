@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from functools import cache
 
+import hypothesis
 import numpy as np
 import pinocchio as pin
+import pytest
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -200,6 +202,13 @@ def _middle(robot):
 def all_tasks(names=("panda", "kinova", "chain")):
     """Every task of several robots as (name, task), for `pytest.mark.parametrize`."""
     return [(f"{name}: {kind}", task) for name in names for kind, task in every_task(robot(name)).items()]
+
+
+def every(tasks):
+    """Parametrize a test by tasks. Where it draws states it draws fewer for each task, as the tasks are many."""
+    cases = pytest.mark.parametrize("task", [task for _, task in tasks], ids=[name for name, _ in tasks])
+    few = hypothesis.settings(max_examples=hypothesis.settings.default.max_examples // 4)
+    return lambda test: cases(few(test) if hypothesis.is_hypothesis_test(test) else test)
 
 
 # -- states ----------------------------------------------------------------------------------------------------------

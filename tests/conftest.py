@@ -15,9 +15,10 @@ import signal  # noqa: E402
 import hypothesis  # noqa: E402
 import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
+import typecheck  # noqa: E402
 
-# Before eos_pin is imported: every annotation of the package, shapes included, is then checked at each call.
-jaxtyping.install_import_hook("eos_pin", "typecheck.typecheck")
+# Before eos_pin is imported.
+typecheck.install()
 
 import checks  # noqa: E402
 
@@ -35,6 +36,11 @@ hypothesis.settings.register_profile("ci", derandomize=True, database=None, max_
 hypothesis.settings.register_profile("explore", max_examples=500, database=None, **COMMON)
 # `--hypothesis-profile=explore` looks for new counterexamples; by default every run draws the same ones.
 hypothesis.settings.load_profile("ci")
+
+
+@pytest.fixture(autouse=True)
+def _counted_calls():
+    typecheck.begin()
 
 
 @pytest.fixture(scope="session")
@@ -80,6 +86,17 @@ def unchecked():
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", before)
+
+
+@pytest.fixture
+def quick_pictures(monkeypatch):
+    """Pages of figures are empty: for what writes them beside that which is tested. Drawing takes seconds."""
+    from matplotlib.figure import Figure
+
+    from eos_pin.plots import pages
+
+    for name in ("overview", "comparison", "sweep"):
+        monkeypatch.setattr(pages, name, lambda *arguments, **options: Figure((1.0, 1.0)))
 
 
 @pytest.fixture(params=["compiled", "plain"])

@@ -83,12 +83,12 @@ def kill(path: Path, count: int, how: str) -> dict:
 
 
 def test_save_that_is_killed_leaves_the_old_file_or_the_new(tmp_path: Path) -> None:
-    figures = kill(tmp_path / "run.npz", 100, "atomic")
+    figures = kill(tmp_path / "run.npz", 40, "atomic")
     assert figures["damaged"] == 0
-    assert sum(figures["old or new"]) == 100
-    assert min(figures["old or new"]) > 10
+    assert sum(figures["old or new"]) == 40
+    assert min(figures["old or new"]) > 4
     # Most kills came in the middle of a save.
-    assert figures["interrupted"] > 30
+    assert figures["interrupted"] > 12
 
 
 def test_killing_would_be_noticed(tmp_path: Path) -> None:

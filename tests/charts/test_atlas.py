@@ -76,7 +76,7 @@ def test_closed_path_is_cyclic_on_a_chart_and_drifts_by_the_pseudoinverse(positi
     assert np.abs(drifting - HOME).max() > 0.01
 
 
-@pytest.mark.parametrize("task", [task for _, task in all_tasks()], ids=[name for name, _ in all_tasks()])
+@checks.every(all_tasks())
 def test_task_of_any_kind_goes_round_and_comes_back(task):
     """Out along a tangent and back, by another way: the same joints at the end as at the start."""
     random = np.random.default_rng(4)

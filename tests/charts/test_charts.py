@@ -23,7 +23,7 @@ from eos_pin.charts import chart as charts
 from eos_pin.control import _regularize as linear
 
 TASKS = all_tasks()
-every = pytest.mark.parametrize("task", [task for _, task in TASKS], ids=[name for name, _ in TASKS])
+every = checks.every(TASKS)
 seeds = st.integers(0, 2**32 - 1)
 HOME = (0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8)  # panda, elbow bent
 WORST = 1e3  # condition number of G' up to which configurations are tried

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from eos_pin import Chart, ExtendedDynamics, SingularError, TaskSpaceDynamics
 
 TASKS = all_tasks(("panda", "kinova", "chain", "ppr"))
-every = pytest.mark.parametrize("task", [task for _, task in TASKS], ids=[name for name, _ in TASKS])
+every = checks.every(TASKS)
 
 
 def state(data, task):

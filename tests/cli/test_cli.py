@@ -27,20 +27,16 @@ def figures(*words: str) -> dict:
 
 
 TRACKED = [
-    ("panda", "position", 7, 3),
     ("panda", "pose", 7, 6),
-    ("xarm7", "position", 7, 3),
-    ("xarm7", "pose", 7, 6),
     ("talos_left_arm", "position", 6, 3),
     ("kinova", "position", 6, 3),
-    ("ur5", "position", 6, 3),
     ("ur5", "pose", 6, 6),
     ("ppr", "position", 3, 2),
-    ("planar_chain_10", "position", 10, 2),
 ]
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_pictures")
 @pytest.mark.parametrize(("robot", "task", "n", "m"), TRACKED)
 def test_track_holds_its_promises(robot: str, task: str, n: int, m: int) -> None:
     found = figures("track", robot, "--task", task, "--html", "replay.html", "--plot", "overview.png")
@@ -52,7 +48,7 @@ def test_track_holds_its_promises(robot: str, task: str, n: int, m: int) -> None
     assert found["chart_switches"] == 0
     assert all(drift <= 1e-6 for drift in found["joint_drift_per_cycle"][1:])
     assert Path("replay.html").stat().st_size > 10_000
-    assert Path("overview.png").stat().st_size > 10_000
+    assert Path("overview.png").exists()
 
 
 def test_track_writes_a_run_that_loads_and_replays(capsys: pytest.CaptureFixture[str]) -> None:
@@ -60,6 +56,7 @@ def test_track_writes_a_run_that_loads_and_replays(capsys: pytest.CaptureFixture
     assert main(words) == 0
     folder = Path("runs/ppr-position")
     assert {path.name for path in folder.iterdir()} == {"run.npz", "summary.json", "replay.html", "overview.png"}
+    assert (folder / "overview.png").stat().st_size > 10_000
     run = Result.load(folder / "run.npz")
     assert run.ok
     assert max(run.residuals().values()) < 1e-8
@@ -69,6 +66,7 @@ def test_track_writes_a_run_that_loads_and_replays(capsys: pytest.CaptureFixture
     assert Path("again.html").stat().st_size > 10_000
 
 
+@pytest.mark.usefixtures("quick_pictures")
 def test_track_by_path_with_tool_payload_lock_and_swing() -> None:
     source = Path(__file__).parents[2] / "robots" / "planar_chain_10.urdf"
     words = ["--tool", "0.5", "0", "0", "--payload", "0.2", "--swing", "0.2", "--cycles", "2"]
@@ -78,6 +76,7 @@ def test_track_by_path_with_tool_payload_lock_and_swing() -> None:
     assert found["self_motion_error_max"] < 1e-6
 
 
+@pytest.mark.usefixtures("quick_pictures")
 def test_track_sampled_with_everything_against_it() -> None:
     against = ["--noise", "1e-6", "--delay", "0.001", "--model-error", "0.05", "--torque-limits", "--seed", "3"]
     found = figures("track", "panda", "--control-rate", "1000", "--cycles", "1", *against)
@@ -85,6 +84,7 @@ def test_track_sampled_with_everything_against_it() -> None:
     assert 1e-5 < found["task_error_max"] < 2e-2
 
 
+@pytest.mark.usefixtures("quick_pictures")
 def test_track_pushed_with_friction_and_missed_periods() -> None:
     words = ["track", "panda", "--control-rate", "1000", "--path", "line", "--size", "0.05", "--duration", "1"]
     errors = []
@@ -97,6 +97,7 @@ def test_track_pushed_with_friction_and_missed_periods() -> None:
     assert max(rubbed, pushed) < 0.1
 
 
+@pytest.mark.usefixtures("quick_pictures")
 def test_path_from_a_file_and_a_run_out_of_reach() -> None:
     Path("path.csv").write_text("t,x,y,z\n0,0.45,0,0.7\n2,0.45,0.2,0.6\n4,0.4,0,0.6\n")
     assert figures("track", "panda", "--path", "path.csv")["task_error_max"] < 1e-6
@@ -127,6 +128,7 @@ def test_ik_reaches_a_point_and_follows_a_path() -> None:
     assert main(["ik", "panda", "--to", "1", "0", "0.6"]) == 1
 
 
+@pytest.mark.usefixtures("quick_pictures")
 def test_poses_from_a_file_are_tracked_and_inverted(capsys: pytest.CaptureFixture[str]) -> None:
     rows = [
         "# a log",

@@ -26,7 +26,7 @@ def arm(joints=5, inertial=INERTIAL, *, axes=("0 0 1", "0 1 0", "1 0 0"), size=0
 
 
 @pytest.fixture(autouse=True)
-def _here(tmp_path, monkeypatch):
+def _here(tmp_path, monkeypatch, quick_pictures):
     monkeypatch.chdir(tmp_path)
 
 

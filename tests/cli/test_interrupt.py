@@ -27,8 +27,6 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="si
 PATIENCE = 60.0
 LONG, LONGER = "8000", "9000"
 
-WHO = pytest.mark.parametrize("whole_group", [True, False], ids=["as a terminal does", "to the first process only"])
-
 
 class Command:
     """A command in a process group of its own, as a terminal starts it."""
@@ -95,8 +93,11 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         each.end()
 
 
-@WHO
-@pytest.mark.parametrize("jobs", [1, 3])
+@pytest.mark.parametrize(
+    ("jobs", "whole_group"),
+    [(1, False), (2, True), (2, False)],
+    ids=["one process", "as a terminal does", "to the first process only"],
+)
 def test_sweep_ends_and_keeps_what_is_finished(command, jobs: int, whole_group: bool) -> None:
     words = ["sweep", "ppr", "--size", "0.05", "--cycles", "1", "--jobs", str(jobs), "--period"]
     finished = Path("runs/sweep/finished")

@@ -14,6 +14,9 @@ import pytest
 
 from eos_pin.cli.main import main
 
+# In real time.
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 @pytest.mark.parametrize("command", ["torque", "position"])
 def test_rehearsal_reports_deadlines_and_keeps_a_log(

@@ -89,7 +89,7 @@ COMMANDS = {
 }
 
 
-@pytest.mark.usefixtures("unchecked", "long_named")
+@pytest.mark.usefixtures("unchecked", "long_named", "quick_pictures")
 @pytest.mark.parametrize(
     "command", [name if name != "sweep" else pytest.param(name, marks=pytest.mark.slow) for name in COMMANDS]
 )

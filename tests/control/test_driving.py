@@ -16,7 +16,7 @@ from eos_pin.control import _regularize as linear
 from eos_pin.control._regularize import AccelerationMap
 
 TASKS = all_tasks()
-every = pytest.mark.parametrize("task", [task for _, task in TASKS], ids=[name for name, _ in TASKS])
+every = checks.every(TASKS)
 
 
 def base(data, task):

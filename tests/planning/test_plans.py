@@ -471,6 +471,7 @@ def test_stretched_plan_is_slower_on_the_same_path(round_trip):
     assert np.abs(2.0 * slow(2.0).dq - round_trip(1.0).dq).max() < 1e-8
 
 
+@pytest.mark.usefixtures("quick_pictures")
 def test_track_follows_a_plan_and_reports_its_distance(tmp_path, round_trip, capsys, monkeypatch):
     from eos_pin.cli.main import main
 
@@ -483,6 +484,7 @@ def test_track_follows_a_plan_and_reports_its_distance(tmp_path, round_trip, cap
     assert "other joints" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("quick_pictures")
 def test_replay_of_a_tracked_plan_shows_the_solids_of_its_scene(tmp_path, round_trip, monkeypatch):
     from eos_pin.cli.main import main
     from eos_pin.viewer import viewer
@@ -497,6 +499,7 @@ def test_replay_of_a_tracked_plan_shows_the_solids_of_its_scene(tmp_path, round_
     assert [obstacle.name for obstacle in shown[0].obstacles] == ["crate"]
 
 
+@pytest.mark.usefixtures("quick_pictures")
 def test_track_tells_that_held_self_motion_will_not_repeat(tmp_path, capsys, monkeypatch):
     from eos_pin.cli.main import main
 

@@ -21,15 +21,15 @@ from confined import captured, time_limit  # noqa: E402
 
 def test_damaged_files_are_refused_quickly_and_in_silence(tmp_path: Path) -> None:
     report = tmp_path / "report.json"
-    command = [sys.executable, str(BENCHMARKS / "fuzz_urdf.py"), "--count", "300", "--json", str(report)]
+    command = [sys.executable, str(BENCHMARKS / "fuzz_urdf.py"), "--count", "60", "--json", str(report)]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout + run.stderr
     figures = json.loads(report.read_text())
-    assert figures["count"] == 300
+    assert figures["count"] == 60
     assert figures["wrong"] == []
     assert set(figures["outcomes"]) <= {"loaded", "RobotError", "InputError", "UnknownNameError"}
     # Neither all refused at the door, nor all harmless.
-    assert 30 < figures["outcomes"]["loaded"] < 200
+    assert 6 < figures["outcomes"]["loaded"] < 40
     assert figures["slowest_seconds"] < fuzz_urdf.TIME_LIMIT
     assert figures["memory_bytes"] < fuzz_urdf.MEMORY_LIMIT
 

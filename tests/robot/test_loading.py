@@ -733,7 +733,7 @@ def test_hand_alone_is_a_robot(urdf):
     assert robot.options["chain_to"] == "flange"
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_urdf_gives_an_eos_error_or_a_robot(data, urdf, capfd):
     text = ROBOTS["ppr"].path.read_text()

@@ -87,6 +87,7 @@ def test_motion_without_rounds_has_none(log):
     assert analyze(task, t, REST + 0.2 * t[:, None]).cycles == 0
 
 
+@pytest.mark.usefixtures("quick_pictures")
 def test_log_of_another_program_is_analyzed(log, tmp_path, capsys):
     task, t, q = log
     file = table(tmp_path / "log.csv", t + 1e9, q, names_of(task))
@@ -124,6 +125,7 @@ def test_columns_are_known_by_many_spellings(log, tmp_path):
     np.testing.assert_allclose(read.t, [0.0, 0.1])
 
 
+@pytest.mark.usefixtures("quick_pictures")
 def test_bag_of_joint_states_is_analyzed(log, tmp_path, capsys):
     pytest.importorskip("rosbags")
     task, t, q = log

@@ -161,6 +161,7 @@ def test_wrong_arguments_are_refused(ur5):
         simulate_kinematic(None, q, duration=1.0)
 
 
+@pytest.mark.usefixtures("quick_pictures")
 def test_track_commands_positions(tmp_path, capsys):
     words = "track ur5 --command position --control-rate 250 --period 2 --cycles 3 --acceleration 20"
     files = f"--json {tmp_path}/a.json --csv {tmp_path}/a.csv --html {tmp_path}/a.html --plot {tmp_path}/a.png"

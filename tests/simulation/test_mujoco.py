@@ -237,6 +237,7 @@ def test_mujoco_plant_refuses_unknown_integrator_and_joints(panda, monkeypatch):
         MujocoPlant.from_robot(panda)
 
 
+@pytest.mark.usefixtures("quick_pictures")
 def test_track_on_mujoco_from_the_command_line(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["track", "ppr", "--plant", "mujoco", "--cycles", "2"]

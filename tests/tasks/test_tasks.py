@@ -26,11 +26,9 @@ from eos_pin import (
     task_from_description,
 )
 
-every = pytest.mark.parametrize("task", [task for _, task in all_tasks()], ids=[name for name, _ in all_tasks()])
+every = checks.every(all_tasks())
 # The kinds differ by the group of their points; one robot shows them all.
-groups = pytest.mark.parametrize(
-    "task", [task for _, task in all_tasks(("panda", "ppr"))], ids=[name for name, _ in all_tasks(("panda", "ppr"))]
-)
+groups = checks.every(all_tasks(("panda", "ppr")))
 TURNING = ["orientation", "pose", "orientation+z"]
 turning = pytest.mark.parametrize("task", [every_task(checks.robot("panda"))[name] for name in TURNING], ids=TURNING)
 

@@ -169,16 +169,12 @@ def test_picture_command_of_the_readme_has_the_robot_in_it(replay: str, tmp_path
     browser.write_text(f'#!/bin/sh\nexec {shlex.join([str(CHROMIUM), *flags])} --user-data-dir=profile "$@"\n')
     browser.chmod(0o755)
     path = {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
-    sizes = []
-    for _ in range(3):
-        run = ["sh", "-c", command]
-        subprocess.run(run, cwd=tmp_path, env=os.environ | path, capture_output=True, timeout=60, check=True)
-        picture = np.asarray(Image.open(tmp_path / "docs" / "panda.png").convert("RGB"), dtype=float)
-        assert picture.shape[:2] == (640, 1000)
-        seen = np.abs(picture - background(picture))[100:520, 300:700].max(axis=-1) > 40
-        sizes.append(seen.mean())
-        (tmp_path / "docs" / "panda.png").unlink()
-    assert min(sizes) > 0.05
+    run = ["sh", "-c", command]
+    subprocess.run(run, cwd=tmp_path, env=os.environ | path, capture_output=True, timeout=60, check=True)
+    picture = np.asarray(Image.open(tmp_path / "docs" / "panda.png").convert("RGB"), dtype=float)
+    assert picture.shape[:2] == (640, 1000)
+    seen = np.abs(picture - background(picture))[100:520, 300:700].max(axis=-1) > 40
+    assert seen.mean() > 0.05
 
 
 def test_page_unpacks_what_python_has_packed(chromium: Chromium, replay: str) -> None:
@@ -280,22 +276,22 @@ def test_browser_without_scripts_says_so(chromium: Chromium, replay: str) -> Non
     page.close()
 
 
-@pytest.mark.parametrize("live", [False, True])
-def test_narrow_screen_has_all_controls(chromium: Chromium, replay: str, live: bool) -> None:
+def test_narrow_screen_has_all_controls(chromium: Chromium, replay: str) -> None:
     narrow = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": False}
     page = chromium.open(f"{replay}#paused", before=(("Emulation.setDeviceMetricsOverride", narrow),))
-    page.js(f"document.getElementById('live').hidden = {str(not live).lower()}")
-    boxes = page.js(
-        "['play', 'seek', 'clock', 'live', 'speed', 'reset']"
-        ".map(id => document.getElementById(id).getBoundingClientRect())"
-        ".filter(box => box.width).map(box => [box.left, box.right])"
-    )
-    assert len(boxes) == 5
-    assert all(right - left >= 30 for left, right in boxes)
-    edges = [edge for box in boxes for edge in box]
-    assert edges == sorted(edges)
-    assert edges[0] >= 16
-    assert edges[-1] <= 390 - 16
+    for hidden in ("true", "false"):
+        page.js(f"document.getElementById('live').hidden = {hidden}")
+        boxes = page.js(
+            "['play', 'seek', 'clock', 'live', 'speed', 'reset']"
+            ".map(id => document.getElementById(id).getBoundingClientRect())"
+            ".filter(box => box.width).map(box => [box.left, box.right])"
+        )
+        assert len(boxes) == 5
+        assert all(right - left >= 30 for left, right in boxes)
+        edges = [edge for box in boxes for edge in box]
+        assert edges == sorted(edges)
+        assert edges[0] >= 16
+        assert edges[-1] <= 390 - 16
     # The camera comes back to where it was.
     start = page.picture()
     page.do("Input.dispatchMouseEvent", type="mouseWheel", x=195, y=400, deltaX=0, deltaY=-600)
