@@ -14,7 +14,7 @@ from eos_pin.control._sampled_law import SelfTargets
 from eos_pin.control.objectives import Objective
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
-from eos_pin.tasks.tolerance import ToleranceTask
+from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Target, Trajectory
 
 #: Time over which bands are differenced [s].
@@ -36,7 +36,7 @@ class KeepTolerance(Objective):
 
     Args:
         law: The law that is changed.
-        task: The task, whose tolerance is kept.
+        task: The task, whose bands are kept.
         reference: Path of the task, the middle of the bands.
         rate: Rate ρ at which the edge of a band is approached [1/s].
         kp: Gain on the task error, as the controller has it [1/s²].
@@ -47,7 +47,7 @@ class KeepTolerance(Objective):
     def __init__(
         self,
         law: Objective,
-        task: ToleranceTask,
+        task: Task,
         reference: Trajectory,
         *,
         rate: float = 20.0,

@@ -27,8 +27,7 @@ from eos_pin.tasks.orientation import HeadingTask, OrientationTask, PoseTask
 from eos_pin.tasks.position import ComTask, PositionTask
 from eos_pin.tasks.relations import DistanceTask
 from eos_pin.tasks.stacked import StackedTask
-from eos_pin.tasks.tolerance import ToleranceTask
-from eos_pin.trajectories.base import Hold, Trajectory
+from eos_pin.trajectories.base import Trajectory
 from eos_pin.trajectories.tolerated import ToleratedPath
 
 TaskKind: TypeAlias = Literal[
@@ -131,14 +130,14 @@ def fitting_path(
     """
     if shape not in SHAPES:
         raise InputError(f"the shape of a path is one of {', '.join(SHAPES)}; got {shape!r}")
-    if isinstance(task, ToleranceTask):
+    if task.whole is not task:
         options = {"shape": shape, "size": size, "plane": plane, "period": period}
         return ToleratedPath(task, fitting_path(task.whole, q, **options))  # type: ignore[arg-type]
     z = task.value(q)
     if shape == "hold":
         if any(given is not None for given in (size, plane, period)):
             raise InputError("a path that holds still has no size, plane or period; leave them out")
-        return task.aim() if isinstance(task, LookAtTask) else Hold(z, task.m)
+        return task.aim(q)
     free = task.lengths
     if not free:
         raise InputError(f"{task!r} has no coordinates of length to draw a path in; use the shape 'hold'")

@@ -191,7 +191,6 @@ class ControlOptions:
         from eos_pin.control.limited import LimitedEosController
         from eos_pin.control.operational import BASELINES
         from eos_pin.control.tolerance import KeepTolerance
-        from eos_pin.tasks.tolerance import ToleranceTask
 
         if self.command != "torque":
             raise InputError(
@@ -202,7 +201,7 @@ class ControlOptions:
         atlas = Atlas(task, threshold=self.chart_margin, metric=self.metric)
         if law is None:
             law = self._law(task, reference, q)
-            if isinstance(task, ToleranceTask):
+            if task.bands:
                 law = KeepTolerance(law, task, reference, kp=self.kp, kd=self.kd)
         if self.controller == "eos":
             return EosController(task, reference, law, kp=self.kp, kd=self.kd, atlas=atlas)

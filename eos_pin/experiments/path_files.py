@@ -21,7 +21,6 @@ from eos_pin.errors import InputError
 from eos_pin.experiments.defaults import ROOM
 from eos_pin.tasks.base import Point, Task
 from eos_pin.tasks.extent import check_reach
-from eos_pin.tasks.tolerance import ToleranceTask
 from eos_pin.trajectories.base import Hold, Trajectory
 from eos_pin.trajectories.corners import STOPPING, Corners, check_corners, paced, rounded
 from eos_pin.trajectories.spline import check_rows, cubic_spline, rotation_spline, shifted
@@ -81,7 +80,7 @@ def path_from_csv(
         InputError: The file cannot be used, its columns do not fit the task, or a point is out of reach. It names file,
             line and cause, and guesses units.
     """
-    if isinstance(task, ToleranceTask):
+    if task.whole is not task:
         within = path_from_csv(path, task.whole, q, patient=patient, corners=corners, blend=blend)
         return ToleratedPath(task, within)
     table = read_waypoints(path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -26,7 +26,6 @@ from eos_pin.planning.obstacles.bodies import Bodies, Clearances
 from eos_pin.planning.obstacles.scene import Scene
 from eos_pin.tasks.base import Task
 from eos_pin.tasks.batch import Manifold
-from eos_pin.tasks.tolerance import ToleranceTask
 
 TAU = 2.0 * np.pi
 #: Part of a band that is planned with: between points of the path the rest is used.
@@ -76,10 +75,10 @@ class Problem:
     winding: bool = False
 
     @cached_property
-    def bands(self) -> ToleranceTask | None:
+    def bands(self) -> Task | None:
         """The task, if it has bands to be kept."""
         task = self.manifold.task
-        return cast("ToleranceTask", task) if task.bands else None
+        return task if task.bands else None
 
     @cached_property
     def whole(self) -> Manifold | None:

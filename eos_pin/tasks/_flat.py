@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +18,22 @@ from eos_pin.errors import InputError
 Point: TypeAlias = Float[np.ndarray, " size"]
 #: What a caller may give for a point: numbers, a rotation or homogeneous matrix, a `pin.SE3`.
 PointLike: TypeAlias = "Sequence[float] | Sequence[Sequence[float]] | Array | pin.SE3"
+
+#: Kinds of parts of a task point: numbers, a rotation matrix row by row (9), an angle that wraps, a unit vector (3).
+Kind: TypeAlias = Literal["number", "rotation", "angle", "direction"]
+
+
+class Channel(NamedTuple):
+    """A part of a task point, by which curves through several points are made.
+
+    Attributes:
+        part: Which numbers of z.
+        kind: What they are.
+    """
+
+    part: slice
+    kind: Kind
+
 
 _IDENTITY = frozen_copy(np.eye(3))
 #: Where the entries of a flat pose, the position followed by the rotation matrix row by row, are in a flat homogeneous

@@ -12,7 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property, partial
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -37,6 +37,8 @@ from eos_pin.robot._data import workspace
 from eos_pin.robot.model import Robot
 from eos_pin.robot.postures import JointsLike
 from eos_pin.tasks._balls import Ball
+from eos_pin.tasks._flat import Channel as Channel
+from eos_pin.tasks._flat import Kind as Kind
 from eos_pin.tasks._flat import Point as Point
 from eos_pin.tasks._flat import PointLike as PointLike
 from eos_pin.tasks.target import Hold, Target
@@ -48,22 +50,6 @@ KINDS: dict[str, type[Task]] = {}
 #: The hooks of a task by their names before 0.2, and the methods that call them.
 _HOOKS = {"_z": "compute_point", "_J": "compute_jacobian", "_drift": "compute_drift"}
 _EVALUATIONS = ("value", "linearize", "at")
-
-
-#: Kinds of parts of a task point: numbers, a rotation matrix row by row (9), an angle that wraps, a unit vector (3).
-Kind: TypeAlias = Literal["number", "rotation", "angle", "direction"]
-
-
-class Channel(NamedTuple):
-    """A part of a task point, by which curves through several points are made.
-
-    Attributes:
-        part: Which numbers of z.
-        kind: What they are.
-    """
-
-    part: slice
-    kind: Kind
 
 
 @by_value
@@ -196,9 +182,7 @@ class Task(Checked, ABC):
         pin.computeJointJacobians(model, data)
         if self._needs_frames:
             pin.updateFramePlacements(model, data)
-        J = self._compute_jacobian(data)
-        if J.ndim == 1:
-            J = self._matrix(J)
+        J = self._matrix(self._compute_jacobian(data))
         return _task_point((self._compute_point(data), J, J.dot(dq), self._compute_drift(data)))
 
     def _matrix(self, J: Array) -> Jacobian:
@@ -266,7 +250,7 @@ class Task(Checked, ABC):
         # Compiled kinematics are made anew where the task is unpickled.
         return {key: value for key, value in self.__dict__.items() if key != "kinematics"}
 
-    # -- the group the points live in; a vector space unless a task says otherwise ----------------------------------
+    # -- the group the points live in; by default a vector space ----------------------------------------------------
 
     @checked
     def minus(self, z1: Point, z0: Point) -> TaskVector:
@@ -307,8 +291,7 @@ class Task(Checked, ABC):
         z_d, dz_d, ddz_d = target
         pull = kp * self._minus(z_d, z)
         pull += kd * (dz_d - dz)
-        pull += ddz_d
-        return pull
+        return pull + ddz_d
 
     @checked
     def channels(self) -> tuple[Channel, ...]:
@@ -324,6 +307,18 @@ class Task(Checked, ABC):
     def bands(self) -> tuple[str, ...]:
         """Names of the coordinates that are kept in a band about their target and not tracked; by default none."""
         return ()
+
+    @checked
+    def used(self, z: Float[Array, "K size"], targets: Float[Array, "#K size"]) -> Float[Array, "K B 2"]:
+        """Distance from the target in each of the `bands`, in parts of its half width: vectors of length 1 at most.
+
+        A band of a number has one component, that of a cone two.
+
+        Args:
+            z: Task points.
+            targets: Their targets.
+        """
+        return np.zeros((len(z), 0, 2))
 
     def _rates(self, z: Array, dz: Array, ddz: Array) -> tuple[Array, Array]:
         """Velocities and accelerations of this task from those of the whole one at points z, (K, …)."""
@@ -368,6 +363,11 @@ class Task(Checked, ABC):
             InputError: Not joints of this robot.
         """
         return Hold(self.value(self.robot.posture(q)), self.m)
+
+    @checked
+    def aim(self, q: JointsLike) -> Hold:
+        """Goal of a run from the joints q without a path: to stay, unless the task has a goal of its own."""
+        return self.hold(q)
 
     # -- the same without checks, for inner loops ----------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ import pinocchio as pin
 from eos_pin._arrays import Array, Jacobian, TaskVector, checked, frozen_copy, vector
 from eos_pin.errors import SingularError
 from eos_pin.robot.model import Robot
+from eos_pin.robot.postures import JointsLike
 from eos_pin.tasks import _sphere
 from eos_pin.tasks.axis import AxisLike, AxisTask
 from eos_pin.tasks.base import Point
@@ -42,8 +43,8 @@ class LookAtTask(AxisTask, kind="look_at"):
         self.centre = tuple(self._centre.tolist())
         super().__init__(robot, frame, axis)
 
-    def aim(self) -> Hold:
-        """Target at which the axis points at the centre."""
+    def aim(self, q: JointsLike | None = None) -> Hold:
+        """Goal at which the axis points at the centre, wherever the joints are."""
         return Hold(self._axis, 2)
 
     def compute_point(self, data: pin.Data) -> Point:

@@ -118,16 +118,7 @@ class ToleranceTask(Task, kind="tolerance"):
 
     # -- bands -------------------------------------------------------------------------------------------------------
 
-    @checked
     def used(self, z: Float[Array, "K size"], targets: Float[Array, "#K size"]) -> Float[Array, "K B 2"]:
-        """Distance from the target in each band, in parts of its half width: vectors whose length is at most 1.
-
-        A band of a number has one component, that of a cone two.
-
-        Args:
-            z: Task points.
-            targets: Their targets.
-        """
         if len(targets) not in (1, len(z)):
             raise InputError(f"targets must be one or as many as the {len(z)} points, got {len(targets)}")
         parts = []

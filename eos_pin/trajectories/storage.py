@@ -9,7 +9,6 @@ import numpy as np
 
 from eos_pin.errors import InputError, ResultError
 from eos_pin.tasks.base import Task
-from eos_pin.tasks.tolerance import ToleranceTask
 from eos_pin.trajectories.base import Hold, Trajectory
 from eos_pin.trajectories.harmonic import Harmonic
 from eos_pin.trajectories.spline import Geodesic, RotationSpline, Spline
@@ -78,7 +77,7 @@ def path_from(task: Task, description: Mapping[str, Any]) -> Trajectory:
             return Hold(np.array(words["z"]), words["m"])
         if kind == "stacked":
             return StackedTrajectory(tuple(path_from(task, part) for part in words["parts"]))
-        if kind == "tolerated" and isinstance(task, ToleranceTask):
+        if kind == "tolerated" and task.whole is not task:
             return ToleratedPath(task, path_from(task.whole, words["path"]))
         if kind == "geodesic":
             closed = words.get("closed", False)

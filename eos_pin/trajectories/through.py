@@ -18,7 +18,6 @@ from eos_pin.errors import InputError
 from eos_pin.tasks import _sphere
 from eos_pin.tasks.base import Kind, PointLike, Task
 from eos_pin.tasks.extent import check_reach
-from eos_pin.tasks.tolerance import ToleranceTask
 from eos_pin.trajectories.base import Hold, Target, Trajectory
 from eos_pin.trajectories.corners import STOPPING, Corners, check_corners, rounded
 from eos_pin.trajectories.harmonic import Harmonic, circle, figure_eight, line
@@ -344,7 +343,7 @@ def about(
     Raises:
         InputError: The task has no three lengths, or the plane is none.
     """
-    if isinstance(task, ToleranceTask):
+    if task.whole is not task:
         return ToleratedPath(task, about(task.whole, z, shape, centre, size, plane, period))
     width = len(task.lengths)
     if width < 2:

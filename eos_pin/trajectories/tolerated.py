@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from eos_pin._arrays import by_value, checked
-from eos_pin.tasks.tolerance import ToleranceTask
+from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Target, Trajectory
 
 
@@ -20,7 +20,7 @@ class ToleratedPath(Trajectory):
         path: A path of its whole task.
     """
 
-    task: ToleranceTask
+    task: Task
     path: Trajectory
 
     def __post_init__(self) -> None:
