@@ -7,14 +7,16 @@ of examples has its parameters.
 from __future__ import annotations
 
 import contextlib
+import copy
 import dataclasses
+import inspect
 import io
 import re
 import warnings
 
 import numpy as np
 import pytest
-from border_examples import arguments, callables, callbacks, special, values
+from border_examples import arguments, callables, callbacks, objects, special, values
 
 import eos_pin
 
@@ -102,6 +104,64 @@ def tried(function, keywords) -> str:
     except Exception as error:
         return f"{type(error).__name__}: {str(error)[:60]}"
     return ""
+
+
+def uses():
+    """Objects whose attributes may be assigned, and a use of each, by class."""
+    q, dq, chart = (values()[name] for name in ("q", "dq", "chart"))
+    steps = {
+        eos_pin.ControlLoop: lambda loop: loop.step(0.0, q, dq),
+        eos_pin.KinematicLoop: lambda loop: loop.step(0.0, q),
+        eos_pin.Controller: lambda own: own.torque(0.0, q, dq, own.start(0.0, q, dq)),
+        eos_pin.Objective: lambda law: law.acceleration(0.0, q, dq, chart),
+    }
+    for kind, use in steps.items():
+        yield from ((made, use) for made in objects().values() if isinstance(made, kind))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("unchecked")
+def test_borders_check_what_is_assigned() -> None:
+    calls, faults = 0, []
+    for made, use in uses():
+        own = [name for name, part in inspect.getmembers(type(made)) if getattr(part, "fset", None) is not None]
+        # The memory of a loop is its controller's own matter.
+        for name in [name for name in (*vars(made), *own) if not name.startswith("_") and name != "state"]:
+            for what, bad in BAD.items():
+                calls += 1
+                fault = tried(assigned, {"made": made, "use": use, "name": name, "value": bad})
+                if fault:
+                    faults.append(f"{type(made).__name__}.{name} = {what}: {fault}")
+    print(f"{calls} assignments, {len(faults)} faults")
+    assert calls > 1400
+    assert not faults, "\n".join(faults)
+
+
+def assigned(made, use, name, value):
+    """What a copy does with another attribute; nothing where it is frozen."""
+    other = copy.copy(made)
+    try:
+        setattr(other, name, value)
+    except AttributeError:
+        return None
+    return use(other)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_borders_check_settings() -> None:
+    trial, plan = (objects()[kind] for kind in (eos_pin.Trial, eos_pin.Plan))
+    near = plan(0.0).q + 0.01
+    settings = [(eos_pin.Trial.from_settings, {"robot": "ppr"}, name) for name in trial.settings if name != "robot"]
+    settings += [(eos_pin.trials, {"robot": "ppr"}, name) for name in trial.settings if name != "robot"]
+    settings += [(eos_pin.journey, {"plan": plan, "q": near}, name) for name in ("scene", "cost", "margin")]
+    faults = []
+    for function, good, name in settings:
+        for what, bad in BAD.items():
+            fault = tried(function, good | {name: bad})
+            if fault:
+                faults.append(f"{function.__name__}({name}={what}): {fault}")
+    print(f"{len(settings) * len(BAD)} settings, {len(faults)} faults")
+    assert not faults, "\n".join(faults)
 
 
 @pytest.mark.slow

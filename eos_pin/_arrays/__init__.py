@@ -1,6 +1,7 @@
 """Arrays: their aliases, the checks of values, and those of all arguments of a public function."""
 
 from eos_pin._arrays.annotations import of_type as of_type
+from eos_pin._arrays.annotations import truth as truth
 from eos_pin._arrays.answers import called as called
 from eos_pin._arrays.answers import number_of as number_of
 from eos_pin._arrays.answers import vector_of as vector_of

@@ -66,7 +66,7 @@ def check_of(name: str, hint: Any, default: Any, *, result: bool = False) -> Che
         check = _either(name, others) if len(others) > 1 else check_of(name, others[0], default, result=result)
         return check if check is None or len(others) == len(choices) else _or_none(check)
     if hint is bool:
-        return Check(lambda value, known: _truth(value, name))
+        return Check(lambda value, known: truth(value, name))
     if result and typing.get_origin(hint) is tuple and Ellipsis not in choices:
         return _fixed(name, [check_of(f"each part of {name}", choice, math.inf, result=True) for choice in choices])
     if (origin := typing.get_origin(hint)) in _SEVERAL:
@@ -244,7 +244,12 @@ def of_type(value: Any, name: str, *kinds: type) -> Any:
     return value
 
 
-def _truth(value: Any, name: str) -> bool:
+def truth(value: Any, name: str) -> bool:
+    """True or False, as a plain bool.
+
+    Raises:
+        InputError: It is something else.
+    """
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(f"{name} must be True or False, got {value!r}")
     return bool(value)

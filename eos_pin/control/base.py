@@ -21,6 +21,7 @@ from eos_pin._arrays import (
     frozen_copy,
     gains,
     number,
+    truth,
     unchecked,
     vector_of,
 )
@@ -141,7 +142,7 @@ class Controller(Checked, ABC):
             state: Memory.
             tau: Torque that acts, where a sampled run holds one; by default that of `torque`.
         """
-        tau, nothing = self._torque(t, q, dq, state) if tau is None else tau, np.zeros(0)
+        tau, nothing = self.torque(t, q, dq, state) if tau is None else tau, np.zeros(0)
         if self.task is None:
             return ControlReport(tau, nothing, nothing, nothing, nothing)
         point, unknown = self.task._at(q, dq), np.full(self.task.m, np.nan)
@@ -291,6 +292,8 @@ class TaskController(Controller):
         """
         if name in ("kp", "kd"):
             return frozen_copy(gains(value, self.task.m, f"the task gain {name}"))
+        if name in ("feedforward", "gravity"):
+            value = truth(value, name)
         if name == "reference":
             check_reference(self.task, value)
         elif name == "gravity":

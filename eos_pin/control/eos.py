@@ -18,6 +18,8 @@ from eos_pin._arrays import (
     VectorLike,
     checked,
     frozen_copy,
+    of_type,
+    truth,
     unchecked,
     vector,
 )
@@ -90,10 +92,12 @@ class EosController(TaskController):
         super().__init_subclass__(**rest)
 
     def _accepted(self, name: str, value: Any) -> Any:
-        if name == "atlas" and value.task is not self.task:
+        if name == "smooth":
+            return truth(value, name)
+        if name == "atlas" and of_type(value, "the atlas", Atlas).task is not self.task:
             raise InputError("the atlas of an EosController must be of the controller's own task object")
         if name == "self_motion" and hasattr(self, name):
-            value.check(self.robot.n, self.robot.n - self.task.m)
+            of_type(value, "the self-motion", Objective).check(self.robot.n, self.robot.n - self.task.m)
         return super()._accepted(name, value)
 
     def __setstate__(self, state: dict[str, Any]) -> None:

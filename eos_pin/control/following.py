@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -59,11 +60,20 @@ class FollowJoints(Objective):
         kd: float | VectorLike = 20.0,
         within: float = WITHIN,
     ) -> None:
-        self.joints = joints
-        self.within = number(within, "the distance at the start", above=0.0)
-        n = self._asked(0.0)[0].size
-        self.kp, self.kd = (frozen_copy(gains(k, n, "a gain on joints")) for k in (kp, kd))
+        self.joints, self.within = joints, within
+        self.kp: JointVector
+        self.kd: JointVector
+        self.kp, self.kd = kp, kd  # type: ignore[assignment]
         self._last: tuple[float, tuple[JointVector, JointVector, JointVector]] | None = None
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "within":
+            value = number(value, "the distance at the start", above=0.0)
+        elif name in ("kp", "kd"):
+            value = frozen_copy(gains(value, self._asked(0.0)[0].size, "a gain on joints"))
+        elif name == "joints" and not callable(value):
+            raise InputError(f"joints must be a function of time, got {value!r}")
+        super().__setattr__(name, value)
 
     @checked
     def at(self, t: float) -> tuple[JointVector, JointVector, JointVector]:

@@ -28,6 +28,7 @@ from eos_pin._arrays import (
     checked,
     frozen_copy,
     number,
+    of_type,
 )
 from eos_pin._kernels import plain_parts
 from eos_pin._kernels.dispatch import use_compiled
@@ -326,7 +327,11 @@ class LimitedEosController(EosController):
         self.control_period: float = control_period
 
     def __setattr__(self, name: str, value: Any) -> None:
-        super().__setattr__(name, number(value, "the control period", above=0.0) if name == "control_period" else value)
+        if name == "control_period":
+            value = number(value, "the control period", above=0.0)
+        elif name == "limits":
+            of_type(value, "the limits", JointLimits)
+        super().__setattr__(name, value)
         if name in ("limits", "control_period") and "control_period" in vars(self):
             self._viability = _viability(self.limits, self.control_period)
         if name in ("limits", "control_period", "gravity"):

@@ -21,6 +21,8 @@ from eos_pin._arrays import (
     VectorLike,
     by_value,
     checked,
+    of_type,
+    truth,
     unchecked,
 )
 from eos_pin.charts._basis import RANK_TOLERANCE, check_rank
@@ -146,6 +148,13 @@ class OperationalSpaceController(TaskController):
         super().__init__(task, reference, kp=kp, kd=kd, feedforward=feedforward, gravity=gravity)
         self.null_space = null_space or FreeNullSpace()
         self.drift = drift
+
+    def _accepted(self, name: str, value: Any) -> Any:
+        if name == "drift":
+            return truth(value, name)
+        return super()._accepted(
+            name, of_type(value, "the null space", NullSpaceLaw) if name == "null_space" else value
+        )
 
     def describe(self) -> dict[str, Any]:
         return super().describe() | {

@@ -58,6 +58,11 @@ class KeepTolerance(Objective):
         self.rate = number(rate, "the rate", above=0.0)
         self.kp, self.kd = (gains(k, task.m, "a gain on the task") for k in (kp, kd))
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        if "kd" in vars(self):
+            raise InputError(f"the {name} of a KeepTolerance cannot be changed; make another one")
+        super().__setattr__(name, value)
+
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         asked = self.law.acceleration(t, q, dq, chart)
         point, target = self.task._at(q, dq), self.reference(t)

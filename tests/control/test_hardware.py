@@ -28,6 +28,8 @@ from eos_pin.simulation.mujoco import MujocoPlant
 from eos_pin.simulation.rehearsal import MujocoConnection
 from eos_pin.trajectories.pace import Clock, PacedPath
 
+# In real time, which the first checks of types would take.
+pytestmark = pytest.mark.usefixtures("unchecked")
 REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 
 

@@ -154,6 +154,14 @@ class ImpedanceController(Controller):
         self.blend = number(blend, "the time of a blend", above=0.0)
         self.tank = number(tank, "the energy of the tank", at_least=0.0)
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        if "tank" in vars(self) and not name.startswith("_"):
+            raise InputError(
+                f"the {name} of an ImpedanceController cannot be changed. Make another one, and let the running loop "
+                "take it over: loop.controller = loop.controller.with_mode(…)"
+            )
+        super().__setattr__(name, value)
+
     def _checked_posture(self, posture: Any) -> Any:
         n = self.task.robot.n
         if posture is None or (isinstance(posture, str) and posture == HERE):
