@@ -6,15 +6,17 @@ Without one the package does the same, more slowly. All else about the package i
 import numpy as np
 from setuptools import Extension, setup
 
+KERNELS = ("law", "limits", "parts", "_turns", "_chain", "_solids", "_step", "_trace")
+
 setup(
     ext_modules=[
         Extension(
-            f"eos_pin._kernels.{name}",
-            [f"eos_pin/_kernels/{name}.pyx"],
+            f"eos_pin.{name}",
+            [f"eos_pin/{name.replace('.', '/')}.pyx"],
             include_dirs=[np.get_include()],
             define_macros=[("NPY_NO_DEPRECATED_API", "NPY_2_0_API_VERSION")],
             optional=True,
         )
-        for name in ("law", "limits", "parts", "_turns", "_chain", "_solids", "_step", "_trace")
+        for name in ("_arrays._border", *(f"_kernels.{kernel}" for kernel in KERNELS))
     ]
 )

@@ -45,7 +45,7 @@ from eos_pin import (
     load_robot,
     simulate,
 )
-from eos_pin._arrays import ORTHONORMAL
+from eos_pin._arrays import ORTHONORMAL, border
 from eos_pin._kernels.dispatch import REFERENCES, kernels
 from eos_pin.cli.main import run
 from eos_pin.cli.output import console, grid, stderr, write_json
@@ -121,7 +121,7 @@ def twins() -> tuple[Calls, Calls]:
                 partial(watches[1].accepts, 0.0, REST, dq),
             )
             marks = {"self": None, "q": ((7,), ()), "dq": ((7,), ())}
-            fast, slow = (form(tuple(marks)) for form in (kernels.Accepted, REFERENCES["Accepted"]))
+            fast, slow = (form(tuple(marks)) for form in (border.compiled.Accepted, border.Accepted))
             for form in (fast, slow):
                 form.remember(weakref.ref(task), marks)
             pairs["Accepted"] = partial(fast, (task, REST, dq), {}), partial(slow, (task, REST, dq), {})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import cache
 
 import hypothesis
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import eos_pin
+from eos_pin._kernels.dispatch import kernels
 
 #: Identities: rounding. Multiply by the condition number of what is inverted (`exact`).
 EXACT = 1e-13
@@ -23,6 +25,11 @@ INTEGRATED = 1e3
 DIFFERENCED = 1e-7
 
 STEP = 1e-5
+
+#: For tests of what is compiled.
+compiled_only = pytest.mark.skipif(
+    kernels is None and "EOS_PIN_NEEDS_COMPILER" not in os.environ, reason="installed without a C compiler"
+)
 
 #: A whole turn [rad].
 TAU = 2.0 * np.pi

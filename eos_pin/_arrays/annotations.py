@@ -23,6 +23,10 @@ from eos_pin.errors import InputError
 SIZES = {"n": "one per joint", "m": "one per task velocity", "r": "n − m, the degree of redundancy", "size": ""}
 
 
+#: So many owners a function remembers; see `border.Accepted`.
+FEW = 4
+
+
 class Never:
     """The class of no argument: the mark of one that is always looked at."""
 

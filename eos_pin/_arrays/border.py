@@ -21,9 +21,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from eos_pin._arrays.annotations import Check, Never, check_of, hint_of, size_of
+from eos_pin._arrays.annotations import FEW, Check, Never, check_of, hint_of, size_of
 from eos_pin._arrays.answers import answering
 from eos_pin._arrays.arrays import is_finite, is_rotation
+from eos_pin._arrays.extensions import extension
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -41,7 +42,7 @@ class Checked:
         own = [base for base in cls.__mro__ if base is cls or not issubclass(base, Checked)]
         for name, method in [item for base in own for item in vars(base).items()]:
             # A method of another base counts where it comes before that of the contract.
-            if not isinstance(method, types.FunctionType) or inspect.getattr_static(cls, name) is not method:
+            if not isinstance(method, FUNCTIONS) or inspect.getattr_static(cls, name) is not method:
                 continue
             inner = "_" + name.strip("_")
             if not hasattr(method, "unchecked"):
@@ -90,7 +91,9 @@ def unchecked(function: F) -> F:
     return function.unchecked  # type: ignore[attr-defined]
 
 
-def _bordered(function: Any, border: _Border) -> Any:
+def bordered(function: Any, border: _Border) -> Any:
+    """The function behind its border; the compiled form is in `_border.pyx`."""
+
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         if not border.accepted(args, kwargs):
@@ -102,7 +105,7 @@ def _bordered(function: Any, border: _Border) -> Any:
 
 
 class Accepted:
-    """The arguments that a function accepted of its last few owners; the compiled form is in `parts.pyx`.
+    """The arguments that a function accepted of its last few owners; the compiled form is in `_border.pyx`.
 
     The owner is the first argument, such as `self`, from which the sizes of arrays are read. Marks are by which the
     next argument is recognized: None for any; (shape, rotations) for a finite array of this shape with rotations at
@@ -134,10 +137,11 @@ class Accepted:
         return all(_recognized(value, marks.get(name, Never)) for name, value in given)
 
 
-#: So many owners a function remembers.
-FEW = 4
-#: The form of `Accepted` that is used; `_kernels.dispatch` puts a compiled one here.
-accepted_kind: Any = Accepted
+#: The compiled forms of `Accepted` and `bordered`; None without.
+compiled = extension("_arrays._border")
+_accepted, _bordered = (Accepted, bordered) if compiled is None else (compiled.Accepted, compiled.bordered)
+#: What counts as a function: of Python, and of the compiled border.
+FUNCTIONS = (types.FunctionType, type(_bordered))
 
 
 def _recognized(value: Any, mark: Any) -> bool:
@@ -193,7 +197,7 @@ class _Border:
     @functools.cached_property
     def accepted(self) -> Any:
         """The arguments that need no closer look, an `Accepted`."""
-        return accepted_kind(tuple(self.checks))
+        return _accepted(tuple(self.checks))
 
     def converted(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[tuple[Any, ...], dict[str, Any]]:
         """The arguments in the form the function takes; remembered if they are in this form already."""

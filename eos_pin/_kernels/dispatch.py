@@ -8,21 +8,18 @@ Without a compiler, and with EOS_PIN_COMPILED=0 in the environment, the plain fo
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from contextlib import suppress
-from importlib import import_module
 from types import SimpleNamespace
 from typing import Any, TypeVar, cast
 
-from eos_pin._arrays import border
+from eos_pin._arrays.extensions import extension
 
 #: Extension modules, and all that is used of them.
 COMPILED = {
     "law": ("AccelerationMap", "Frame", "TrackingLaw"),
     "limits": ("ChangeProgram", "Limits"),
     "parts": (
-        "Accepted", "Curve", "StateMonitor", "flat_pose", "largest", "newton_step", "on_chart_inverse",
+        "Curve", "StateMonitor", "flat_pose", "largest", "newton_step", "on_chart_inverse",
         "pose_difference", "state_rate", "within_limits_fast",
     ),
     "_chain": ("Chain", "LARGEST"),
@@ -39,12 +36,11 @@ DONE, UNDECIDED, NO_ANSWER = 0, 1, 2
 
 #: The compiled functions and classes; None without.
 kernels: Any = None
-if os.environ.get("EOS_PIN_COMPILED") != "0":
-    with suppress(ImportError):
-        modules = {name: import_module(f"eos_pin._kernels.{name}") for name in COMPILED}
-        kernels = SimpleNamespace(
-            **{name: getattr(modules[module], name) for module, names in COMPILED.items() for name in names}
-        )
+_modules = {name: extension(f"_kernels.{name}") for name in COMPILED}
+if None not in _modules.values():
+    kernels = SimpleNamespace(
+        **{name: getattr(_modules[module], name) for module, names in COMPILED.items() for name in names}
+    )
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -64,7 +60,3 @@ def use_compiled(plain: Kernel) -> Kernel:
     )
     REFERENCES[name] = plain
     return cast(Kernel, plain if kernels is None else getattr(kernels, name))
-
-
-# Arrays lie below, so that they cannot ask.
-border.accepted_kind = use_compiled(border.Accepted)

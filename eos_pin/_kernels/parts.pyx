@@ -1,112 +1,18 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled twins of smaller parts: arguments, the watch of a loop, curves, poses, Newton's method, the state's rate."""
+"""Compiled twins of smaller parts: the watch of a loop, curves, poses, Newton's method, the state's rate."""
 
 cimport numpy as cnp
 from libc.math cimport INFINITY, cos, fabs, isfinite, sin, sqrt
 from scipy.linalg.cython_lapack cimport dgetrf, dgetri
 
+from eos_pin._arrays._rotation cimport is_rotation
 from eos_pin._kernels._common cimport as_plain, as_table, data, dot, empty, entry, named, plain, table
 
 import numpy as np
 from pinocchio import log3
 
-from eos_pin._arrays.arrays import ORTHONORMAL
-from eos_pin._arrays.border import FEW, Never
 cnp.import_array()
 
-cdef double ROUNDING = ORTHONORMAL
-
-
-cdef class Accepted:
-    """`border.Accepted`, with the same arguments."""
-
-    cdef tuple names
-    cdef list entries
-
-    def __init__(self, tuple names):
-        self.names, self.entries = names, []
-
-    def __reduce__(self):
-        return type(self), (self.names,)
-
-    def remember(self, owner, marks):
-        known = [entry for entry in self.entries if entry[0]() is not None]
-        for one, _, before in known:
-            if one() is owner():
-                marks = before | marks
-        others = [entry for entry in known if entry[0]() is not owner()]
-        # In the order of the parameters, and by their names.
-        self.entries = [(owner, tuple([marks.get(name, Never) for name in self.names]), marks), *others][:FEW]
-
-    def __call__(self, tuple args, dict kwargs):
-        cdef Py_ssize_t i, count = len(args)
-        cdef tuple entry, marks
-        if count == 0 or count > len(self.names):
-            return False
-        for entry in self.entries:
-            if entry[0]() is not args[0]:
-                continue
-            marks = entry[1]
-            for i in range(count):
-                if not recognized(args[i], marks[i]):
-                    return False
-            for name in kwargs:
-                if not recognized(kwargs[name], (<dict>entry[2]).get(name, Never)):
-                    return False
-            return True
-        return False
-
-
-cdef bint recognized(value, mark):
-    cdef double number
-    if mark is None:
-        return True
-    if type(mark) is tuple:
-        return is_array(value, (<tuple>mark)[0], (<tuple>mark)[1])
-    if type(mark) is float:
-        if type(value) is not float:
-            return False
-        number = value
-        return <double>mark < number < INFINITY
-    return type(value) is mark
-
-
-cdef bint is_array(value, tuple shape, tuple rotations):
-    cdef Py_ssize_t k, size = 1
-    cdef double *x
-    if type(value) is not cnp.ndarray:
-        return False
-    array = <cnp.ndarray>value
-    if cnp.PyArray_TYPE(array) != cnp.NPY_DOUBLE or cnp.PyArray_NDIM(array) != len(shape):
-        return False
-    if not (cnp.PyArray_ISCARRAY_RO(array) or cnp.PyArray_ISFORTRAN(array)) or not cnp.PyArray_ISBEHAVED_RO(array):
-        return False
-    for k in range(len(shape)):
-        if cnp.PyArray_DIM(array, k) != <Py_ssize_t>shape[k]:
-            return False
-        size *= cnp.PyArray_DIM(array, k)
-    x = data(array)
-    for k in range(size):
-        if not isfinite(x[k]):
-            return False
-    for start in rotations:
-        if not is_rotation(x + <Py_ssize_t>start, ROUNDING):
-            return False
-    return True
-
-
-cdef bint is_rotation(double* R, double tolerance) noexcept:
-    """Whether a matrix, row by row, is a rotation to rounding."""
-    cdef double off = 0.0, product
-    cdef Py_ssize_t i, j
-    for i in range(3):
-        for j in range(3):
-            product = R[i] * R[j] + R[3 + i] * R[3 + j] + R[6 + i] * R[6 + j]
-            off = max(off, fabs(product - (i == j)))
-    product = (
-        R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6])
-    )
-    return off <= tolerance and product > 0.0
 
 
 cdef class StateMonitor:

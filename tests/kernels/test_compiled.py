@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import inspect
+import math
 import os
 import pickle
 import subprocess
 import sys
+import types
 import weakref
 from itertools import cycle, product
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from checks import EXACT, all_tasks, exact, random_state, tip
+from checks import EXACT, all_tasks, compiled_only, exact, random_state, tip
 
 from eos_pin import (
     Atlas,
     Chart,
     EosController,
     Hold,
+    InputError,
     JointLimits,
     LimitedEosController,
     OrientationTask,
@@ -26,6 +30,7 @@ from eos_pin import (
     PositionTask,
     Track,
 )
+from eos_pin._arrays import JointVector, border
 from eos_pin._kernels import tracing
 from eos_pin._kernels.dispatch import COMPILED, DONE, REFERENCES, UNDECIDED, WITH_PLAIN_FORMS, kernels, use_compiled
 from eos_pin._kernels.kinematics import MOST_NODES, SHORTEST
@@ -39,9 +44,7 @@ from eos_pin.trajectories.base import Target
 from eos_pin.trajectories.harmonic import Waves
 
 pytestmark = [
-    pytest.mark.skipif(
-        kernels is None and "EOS_PIN_NEEDS_COMPILER" not in os.environ, reason="installed without a C compiler"
-    ),
+    compiled_only,
     # Calls by the ten thousand.
     pytest.mark.usefixtures("unchecked"),
 ]
@@ -134,7 +137,7 @@ def test_accepted_arguments_are_the_same_ones():
         """An object with methods."""
 
     owners, names, taken = [Owner() for _ in range(6)], ("self", "t", "q", "z", "flag", "rest"), 0
-    forms = both("Accepted", names)
+    forms = border.compiled.Accepted(names), border.Accepted(names)
     for random, n in vectors(4):
         owner, R = owners[random.integers(6)], pin.exp3(random.normal(size=3))
         if random.random() < 0.3:
@@ -156,6 +159,49 @@ def test_accepted_arguments_are_the_same_ones():
     owner = owners.pop()
     entry = pickle.loads(pickle.dumps(forms[0]))
     assert not entry((owner,), {})
+
+
+def test_border_is_the_same_compiled_and_plain():
+    """Results, errors and what a function is made of; methods, too, and arguments in any order and of any kind."""
+    random, forms = np.random.default_rng(5), []
+    for bordered in (border.compiled.bordered, border.bordered):
+
+        class Owner:
+            n = 3
+
+            def scaled(self, q: JointVector, by: float = 2.0) -> JointVector:
+                """Joints times a number."""
+                return by * q
+
+            scaled = bordered(scaled, border._Border(scaled))
+
+        forms.append(Owner())
+    compiled, plain = forms
+    assert compiled.scaled.__doc__ == "Joints times a number."
+    assert inspect.signature(compiled.scaled) == inspect.signature(plain.scaled)
+    assert isinstance(compiled.scaled.unchecked, types.FunctionType)
+    taken = 0
+    for _ in range(STATES):
+        q = random.normal(size=random.choice([3, 3, 3, 2])) * random.choice([1.0, 1.0, np.nan])
+        q = (q, q.tolist(), q[::-1], "abc", None)[random.choice([0, 0, 0, 1, 2, 3, 4])]
+        by = (2.5, 2, math.inf, "x")[random.choice([0, 0, 1, 2, 3])]
+        for args, kwargs in (
+            ((q,), {}),
+            ((q, by), {}),
+            ((q,), {"by": by}),
+            ((), {"by": by, "q": q}),
+            ((), {}),
+            ((q, by, 1), {}),
+        ):
+            found = []
+            for owner in forms:
+                try:
+                    found.append(owner.scaled(*args, **kwargs).tolist())
+                except (InputError, TypeError) as error:
+                    found.append(f"{type(error).__name__}: {error}")
+            assert found[0] == found[1]
+            taken += isinstance(found[0], list)
+    assert taken > 0.5 * STATES
 
 
 def test_torque_checks_agree():

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import copy
-import os
 import pickle
 
+import checks
 import numpy as np
 import pytest
 
@@ -24,15 +24,9 @@ from eos_pin import (
     Track,
     load_robot,
 )
-from eos_pin._kernels.dispatch import kernels
 from eos_pin.experiments.defaults import fitting_path, make_task, rest_posture
 
-pytestmark = [
-    pytest.mark.skipif(
-        kernels is None and "EOS_PIN_NEEDS_COMPILER" not in os.environ, reason="installed without a C compiler"
-    ),
-    pytest.mark.usefixtures("unchecked"),
-]
+pytestmark = [checks.compiled_only, pytest.mark.usefixtures("unchecked")]
 H = 0.004
 
 
