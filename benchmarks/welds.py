@@ -21,7 +21,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -154,17 +154,24 @@ def checked(mode: str, robot: Robot, rows: np.ndarray, q: np.ndarray) -> dict[st
     return {"error": max(place, turn), "tilt": tilt, "inside": inside, "accepted": accepted}
 
 
-def plans(options: argparse.Namespace) -> int:
-    """Plans of all curves on all arms."""
-    rows = []
+def rows_of(options: argparse.Namespace, measure: Callable[[Robot, int], Iterable[dict[str, Any]]]) -> list[Any]:
+    """What is measured for each arm and curve, printed and kept as it comes."""
+    rows: list[dict[str, Any]] = []
     for name in options.robots.split(","):
         robot = arm(name)
-        for mode in options.modes.split(","):
-            for seed in range(options.count):
-                rows.append(planned(mode, robot, seed, options.points))
-                print(json.dumps(rows[-1]), flush=True)
+        for seed in range(options.count):
+            for row in measure(robot, seed):
+                rows.append(row)
+                print(json.dumps(row), flush=True)
                 if options.json:
                     options.json.write_text(json.dumps(rows, indent=1) + "\n")
+    return rows
+
+
+def plans(options: argparse.Namespace) -> int:
+    """Plans of all curves on all arms."""
+    modes = options.modes.split(",")
+    rows = rows_of(options, lambda robot, seed: (planned(mode, robot, seed, options.points) for mode in modes))
     lines = [
         "| arm | roll | planned | jumps | joint motion [rad] | CPU time [s] | longest [s] |",
         "|---|---|---|---|---|---|---|",
@@ -204,14 +211,7 @@ def driven(robot: Robot, seed: int, count: int) -> dict[str, Any]:
 
 def roll(options: argparse.Namespace) -> int:
     """Torque control of the roll."""
-    rows = []
-    for name in options.robots.split(","):
-        robot = arm(name)
-        for seed in range(options.count):
-            rows.append(driven(robot, seed, options.points))
-            print(json.dumps(rows[-1]), flush=True)
-            if options.json:
-                options.json.write_text(json.dumps(rows, indent=1) + "\n")
+    rows = rows_of(options, lambda robot, seed: [driven(robot, seed, options.points)])
     lines = [
         "| arm | curves | task error [m, rad] | roll beside its law [rad] | joints after a round [rad] | charts |",
         "|---|---|---|---|---|---|",

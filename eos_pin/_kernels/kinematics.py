@@ -77,13 +77,26 @@ class Kinematics:
         self.task = task
         self.n, self.m, self.size = int(task.robot.n), task.m, task.size
         self._plain = PlainChain(task, self.n)
-        self._chain: Any = self._plain
-        parts = task.frame_parts()
-        arguments = chain_arguments(task.robot.model, parts) if kernels and parts else None
-        if arguments is not None and self.n <= kernels.LARGEST[0] and self.m <= kernels.LARGEST[1]:
-            self._chain = kernels.Chain(*arguments)
-            self._compare()
+        self._chain = self._kernel()
         self.compiled = self._chain is not self._plain
+        if self.compiled:
+            self._compare()
+
+    def _kernel(self) -> Any:
+        """The compiled kernel, or the plain one where the task is not made of frames, or too large."""
+        parts = self.task.frame_parts()
+        arguments = chain_arguments(self.task.robot.model, parts) if kernels and parts else None
+        if arguments is not None and self.n <= kernels.LARGEST[0] and self.m <= kernels.LARGEST[1]:
+            return kernels.Chain(*arguments)
+        return self._plain
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A compiled kernel is made anew in a copy.
+        return {name: value for name, value in vars(self).items() if name != "_chain"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._chain = self._kernel()
 
     @cached_property
     def revolute(self) -> Bool[Array, " n"]:

@@ -196,12 +196,7 @@ def write_outputs(
 
         written.append(plots.save(plot or plots.overview(result, robot), output.plot))
     if output.bag is not None:
-        from eos_pin.trajectories.bags import JointMotion, write_bag
-
-        # Robots that take positions or velocities have no torques.
-        effort = result.tau if np.isfinite(result.tau).all() else None
-        motion = JointMotion(result.joints, result.t, result.q, result.dq, result.ddq, effort)
-        written.append(write_bag(output.bag, motion))
+        written.append(result.to_bag(output.bag))
     if output.rerun is not None and robot is not None:
         from eos_pin.viewer.rerun_file import write_rerun
 

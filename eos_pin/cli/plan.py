@@ -327,10 +327,7 @@ def _deliver(
     if files.csv is not None:
         written.append(found.to_csv(files.csv, derivatives=False))
     if files.bag is not None:
-        from eos_pin.trajectories.bags import JointMotion, write_bag
-
-        motion = JointMotion([joint.name for joint in found.robot.joints], *found.table())
-        written.append(write_bag(files.bag, motion))
+        written.append(found.to_bag(files.bag))
     if files.html is not None or files.plot is not None or files.view:
         written += _draw(found, files, scene, clearances)
     return written

@@ -26,8 +26,6 @@ from eos_pin._arrays import (
     checked,
     frozen_copy,
     gains,
-    listed,
-    of_type,
     unchecked,
     vector,
     vector_of,
@@ -367,15 +365,11 @@ class SumObjective(Objective):
 
     @checked
     def __init__(self, parts: Sequence[Objective]) -> None:
-        self.parts: tuple[Objective, ...]
-        self.parts = parts  # type: ignore[assignment]
+        if not parts:
+            raise InputError("SumObjective needs at least one objective; Damp(0.0) leaves the self-motion alone")
+        self._parts = tuple(parts)
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        if name == "parts":
-            value = tuple(of_type(part, "each part", Objective) for part in listed(value, "the parts"))
-            if not value:
-                raise InputError("SumObjective needs at least one objective; Damp(0.0) leaves the self-motion alone")
-        super().__setattr__(name, value)
+    parts = property(lambda self: self._parts, doc="The objectives.")
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         total = self.parts[0].acceleration(t, q, dq, chart)

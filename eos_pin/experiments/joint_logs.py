@@ -15,7 +15,7 @@ from eos_pin.errors import InputError
 from eos_pin.robot.joint_map import JointMap
 from eos_pin.robot.model import Robot
 from eos_pin.trajectories.bags import read_bag
-from eos_pin.trajectories.waypoints import _cells, _decimal, _numbers
+from eos_pin.trajectories.text_tables import cells_of, decimal, numbers_of
 
 #: Names of the column of times.
 TIMES = ("t", "time", "timestamp", "stamp", "time_s")
@@ -75,8 +75,8 @@ def read_joint_log(
         )
     if topic:
         raise InputError(f"topic {topic!r} does not apply: {path} is no bag")
-    rows = _cells(path)
-    if not rows or all(_decimal(cell) is not None for cell in rows[0][1]):
+    rows = cells_of(path)
+    if not rows or all(decimal(cell) is not None for cell in rows[0][1]):
         raise InputError(f"{path}: the first row must name the columns: t, and each joint by its name")
     (_, names), rows = rows[0], rows[1:]
     if rows and len(rows[-1][1]) < len(names):
@@ -99,7 +99,7 @@ def _picked(path: Path, line: int, cells: list[str], names: list[str], used: lis
     """The numbers of a row that count."""
     if len(cells) > len(names) or len(cells) <= max(used):
         raise InputError(f"{path}, line {line}: expected {len(names)} columns ({', '.join(names)}), got {len(cells)}")
-    return list(map(float, _numbers(path, line, [cells[k] for k in used], [names[k] for k in used])))
+    return list(map(float, numbers_of(path, line, [cells[k] for k in used], [names[k] for k in used])))
 
 
 @checked

@@ -22,6 +22,7 @@ from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
 from eos_pin.tasks.batch import Manifold
 from eos_pin.tasks.stacked import task_from_description
+from eos_pin.trajectories.bags import JointMotion, write_bag
 from eos_pin.trajectories.base import JointTarget, Target, Trajectory
 from eos_pin.trajectories.storage import described, path_from
 from eos_pin.trajectories.through import WaypointPath, sampled
@@ -369,12 +370,15 @@ class Plan:
         if derivatives:
             columns += [dq, ddq]
             header += [f"d_{name}" for name in names] + [f"dd_{name}" for name in names]
-        table = np.hstack(columns)
-        title = ",".join(header)
-        write_atomically(
-            path, lambda file: np.savetxt(file, table, delimiter=",", header=title, comments="", fmt="%.17g")
-        )
+        table, title = np.hstack(columns), ",".join(header)
+        form: dict[str, Any] = {"delimiter": ",", "header": title, "comments": "", "fmt": "%.17g"}
+        write_atomically(path, lambda file: np.savetxt(file, table, **form))
         return Path(path)
+
+    @checked
+    def to_bag(self, path: str | Path) -> Path:
+        """Write the joints over time as a bag of ROS 2; see `write_bag`."""
+        return write_bag(path, JointMotion([joint.name for joint in self.robot.joints], *self.table()))
 
 
 def dds_plus(ddS: Array, ddC: Array, dC: Array, bend: Array, rate: Array) -> Array:

@@ -78,6 +78,9 @@ class MujocoPlant(Robot):
         self._forward(q, dq, np.zeros(self.n))
         return data.qfrc_bias.copy()
 
+    def inverse_dynamics(self, q: JointVector, dq: JointVector, ddq: JointVector) -> JointVector:
+        return self._mass(q).dot(ddq) + self._bias(q, dq)
+
     def forward_dynamics(self, q: JointVector, dq: JointVector, tau: JointVector) -> JointVector:
         _, _, data = self._mujoco
         self._forward(q, dq, tau)

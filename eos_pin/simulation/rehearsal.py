@@ -108,4 +108,4 @@ class MujocoConnection(Connection):
             return asked + self.plant.gravity(q) if self.compensates_gravity else asked
         rate = SERVO / self.control_period
         ddq = rate * (asked - dq) if self.command == "velocity" else 0.25 * rate**2 * (asked - q) - rate * dq
-        return self.plant.mass(q).dot(ddq) + self.plant.bias(q, dq)
+        return self.plant.inverse_dynamics(q, dq, ddq)

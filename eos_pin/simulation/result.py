@@ -20,11 +20,11 @@ from eos_pin._files import write_csv
 from eos_pin.errors import InputError, Renamed, ResultError
 from eos_pin.robot.loading import load_robot
 from eos_pin.robot.model import Robot
+from eos_pin.simulation._residuals import residuals_of
 from eos_pin.simulation._storage import read, write
-from eos_pin.simulation.disturbances import Friction
 from eos_pin.simulation.limit_use import use_of_limits
 from eos_pin.tasks.base import Task
-from eos_pin.tasks.stacked import task_from_description
+from eos_pin.trajectories.bags import JointMotion, write_bag
 
 #: Task acceleration beyond rounding [m/s², rad/s²].
 TASK_DEFICIT = 1e-6
@@ -266,34 +266,13 @@ class Result:
 
         Returns:
             `task` z − G(q) [m, rad]; `torque` M ddq − R − tau − G'ᵀF^z, relative to the largest torque or bias −R;
-            `power` change of energy minus work, relative to the largest energy exchanged.
+            `power` change of energy minus work, relative to the largest energy exchanged. The last two are NaN where
+            nothing is known of torques: they were not recorded, or the robot has no inertia.
 
         Raises:
             ResultError: The plant cannot be loaded again (it was made in memory): hand it over.
         """
-        robot = robot or self.load_plant()
-        torque = np.array([robot._inverse_dynamics(*row) for row in zip(self.q, self.dq, self.ddq, strict=True)])
-        bias = np.array([robot._bias(*row) for row in zip(self.q, self.dq, strict=True)])
-        torque -= self.tau
-        friction = self.info.get("arguments", {}).get("friction")
-        if friction:
-            torque -= np.array([Friction(**friction)._torque(dq) for dq in self.dq])
-        found: dict[str, float] = {}
-        if self.info.get("task"):
-            task = task_from_description(robot, self.info["task"])
-            rows = zip(self.q, self.z, strict=True)
-            found["task"] = largest_magnitude(np.array([task._minus(z, task._value(q)) for q, z in rows]))
-        if self.info.get("force_task"):
-            pushed = task_from_description(robot, self.info["force_task"])
-            rows = zip(self.q, self.task_force, strict=True)
-            torque -= np.array([pushed.linearize(q)[1].T @ f for q, f in rows])
-        energy = np.array(
-            [robot._kinetic_energy(q, dq) + robot._potential_energy(q) for q, dq in zip(self.q, self.dq, strict=True)]
-        )
-        scale = max(np.ptp(energy), np.ptp(self.work), self.kinetic_energy.max(), 1e-12)
-        found["torque"] = largest_magnitude(torque) / max(largest_magnitude(self.tau), largest_magnitude(bias), 1e-12)
-        found["power"] = largest_magnitude(energy - energy[0] - (self.work - self.work[0])) / float(scale)
-        return found
+        return residuals_of(self, robot or self.load_plant())
 
     @checked
     def load_plant(self, source: str | Path = "") -> Robot:
@@ -384,6 +363,12 @@ class Result:
                 names += [name] if array.ndim == 1 else [f"{name}{i + 1}" for i in range(array.shape[1])]
         write_csv(path, names, np.column_stack(list(columns.values())).tolist())
         return path
+
+    @checked
+    def to_bag(self, path: str | Path) -> Path:
+        """Write the joints over time as a bag of ROS 2, with torques where they are known; see `write_bag`."""
+        effort = self.tau if np.isfinite(self.tau).all() else None
+        return write_bag(path, JointMotion(self.joints, self.t, self.q, self.dq, self.ddq, effort))
 
 
 _VECTORS = ("t", "chart", "kinetic_energy", "work", "switches")

@@ -9,11 +9,10 @@ A text such as `"0.4 0 0.5; 0.4 0.2 0.5"` has the way points themselves, without
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +20,8 @@ from jaxtyping import Bool, Float
 
 from eos_pin._arrays import Array, Vector, by_value, checked, frozen_copy
 from eos_pin.errors import InputError
+from eos_pin.trajectories.text_tables import cells_of, decimal, numbers_of
 
-#: Longest file that is read [bytes], and the most rows.
-MOST_BYTES, MOST_ROWS = 200_000_000, 1_000_000
 #: How far the length of a quaternion may be from 1 to be taken as rounded.
 ROUNDED = 1e-3
 #: An angle beyond two turns [rad] is one in degrees.
@@ -92,7 +90,7 @@ def is_table(path: str | Path) -> bool:
 def _is_text(path: str | Path) -> bool:
     """Whether the rows stand in the text itself."""
     return ";" in str(path) and all(
-        _decimal(cell) is not None for cell in re.split(r"[\s,;]+", str(path).strip(" ;,")) if cell
+        decimal(cell) is not None for cell in re.split(r"[\s,;]+", str(path).strip(" ;,")) if cell
     )
 
 
@@ -111,11 +109,11 @@ def read_waypoints(path: str | Path) -> Waypoints:
     if _is_text(path):
         return _written(str(path))
     path = Path(path)
-    rows = _cells(path)
+    rows = cells_of(path)
     if not rows:
         raise InputError(f"{path} has no rows of numbers; its columns are {KNOWN}")
     first, names = rows[0], None
-    if any(_decimal(cell) is None for cell in first[1]):
+    if any(decimal(cell) is None for cell in first[1]):
         names = tuple(_name(cell, f"{path}, line {first[0]}") for cell in first[1])
         _check_names(names, f"{path}, line {first[0]}")
         rows = rows[1:]
@@ -129,7 +127,7 @@ def read_waypoints(path: str | Path) -> Waypoints:
                 f"{path}, line {first[0]}: one column only; without names the columns are t, z1, …, zm. Name them in "
                 f"the first row: {KNOWN}"
             )
-    table = [_numbers(path, line, cells, names) for line, cells in rows]
+    table = [numbers_of(path, line, cells, names) for line, cells in rows]
     return _named(path, [line for line, _ in rows], names, table)
 
 
@@ -194,80 +192,13 @@ def posed(table: Waypoints) -> Waypoints:
     return replace(table, values=None, position=position, axes="".join(POSITION), rotation=rotation)
 
 
-# -- text ------------------------------------------------------------------------------------------------------------
-
-
-def _cells(path: Path) -> list[tuple[int, list[str]]]:
-    """Cells of every row that has any, with its line; comments and empty cells at the end are left out."""
-    separator, rows = "", []
-    for line, text in enumerate(_text(path).splitlines(), 1):
-        text = text.split("#", 1)[0].strip(" \r\ufeff")
-        if line == 1 and text.lower().startswith("sep="):
-            # Excel's way to say it.
-            separator = text[4:5]
-            continue
-        if not text.strip(" \t,;"):
-            continue
-        separator = separator or next((mark for mark in (";", "\t", ",") if mark in text), " ")
-        try:
-            cells = text.split() if separator == " " else next(csv.reader([text], delimiter=separator))
-        except csv.Error as error:
-            raise InputError(f"{path}, line {line}: {error}") from error
-        cells = [cell.strip().strip("'\"") for cell in cells]
-        while cells and not cells[-1]:
-            cells.pop()
-        # Where commas do not separate columns they are decimal points.
-        rows.append((line, [cell.replace(",", ".") for cell in cells] if separator != "," else cells))
-        if len(rows) > MOST_ROWS:
-            raise InputError(f"{path} has more than {MOST_ROWS:,} rows; keep every second or tenth of them")
-    return rows
-
-
 def _written(text: str) -> Waypoints:
     """Way points that stand in a text."""
     source = Path("the path")
     rows = [row.replace(",", " ").split() for row in text.strip(" ;").split(";")]
     names = tuple(f"z{i + 1}" for i in range(len(rows[0])))
-    table = [_numbers(source, k, cells, names) for k, cells in enumerate(rows, 1)]
+    table = [numbers_of(source, k, cells, names) for k, cells in enumerate(rows, 1)]
     return _named(source, list(range(1, len(rows) + 1)), names, table)
-
-
-def _text(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise InputError(f"cannot read the path {path}: {error}") from error
-    if len(data) > MOST_BYTES:
-        raise InputError(f"{path} is longer than {MOST_BYTES // 1_000_000} MB; keep every second or tenth of its rows")
-    wide = data[:2] in (b"\xff\xfe", b"\xfe\xff")
-    try:
-        return data.decode("utf-16" if wide else "utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"cannot read the path {path}: it is not text in UTF-8 ({error.reason})") from error
-
-
-def _decimal(cell: str) -> Decimal | None:
-    try:
-        return Decimal(cell)
-    except InvalidOperation:
-        return None
-
-
-def _numbers(path: Path, line: int, cells: list[str], names: Sequence[str]) -> list[Decimal]:
-    """The numbers of one row."""
-    where = f"{path}, line {line}"
-    if len(cells) != len(names):
-        raise InputError(f"{where}: expected {len(names)} columns ({', '.join(names)}), got {len(cells)}: {cells}")
-    numbers = []
-    for name, cell in zip(names, cells, strict=True):
-        value = _decimal(cell)
-        if value is None:
-            raise InputError(f"{where}: every entry must be a number, got {cell!r} in column {name}")
-        if not value.is_finite() or not np.isfinite(float(value)):
-            raise InputError(f"{where}: every entry must be finite, got {cell!r} in column {name}")
-        numbers.append(value)
-    return numbers
 
 
 # -- columns ---------------------------------------------------------------------------------------------------------

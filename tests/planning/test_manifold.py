@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -42,6 +45,14 @@ def test_components_of_a_planar_arm_are_as_many_as_its_theory_has(arm, z):
     assert len(manifold.hits) == len(manifold.components)
     assert min(manifold.hits) >= 3
     assert sum(manifold.hits) == manifold.solved
+
+
+def test_manifold_is_copied_and_pickled(pose):
+    manifold = self_motion_manifold(pose, pose.value(poses(pose, 1)[0]))
+    for again in (copy.deepcopy(manifold), pickle.loads(pickle.dumps(manifold))):
+        assert again.components[0].kinematics.compiled == manifold.components[0].kinematics.compiled
+        for one, other in zip(again.sampled(0.2), manifold.sampled(0.2), strict=True):
+            np.testing.assert_array_equal(one, other)
 
 
 def test_component_is_exact_at_any_arc_length(pose):

@@ -21,6 +21,7 @@ from eos_pin import (
     Result,
     Target,
     Trajectory,
+    circle,
     load_robot,
     simulate_kinematic,
 )
@@ -29,7 +30,7 @@ from eos_pin.experiments.commanded import commanded_loop, run_commanded
 from eos_pin.experiments.defaults import fitting_path, make_task, rest_posture
 from eos_pin.experiments.options import ControlOptions, TaskOptions
 from eos_pin.plots import overview
-from eos_pin.simulation.kinematic import SAME
+from eos_pin.simulation.kinematic import SAME, chart_following
 
 PAGE = (Path(__file__).parents[2] / "docs" / "commands.md").read_text(encoding="utf-8")
 
@@ -81,6 +82,20 @@ def test_samples_are_what_a_servo_does(ran):
     energy = [loop.robot.kinetic_energy(*row) for row in zip(run.q, run.dq, strict=True)]
     np.testing.assert_allclose(run.kinetic_energy, energy, atol=1e-12)
     np.testing.assert_allclose(run.dz, [loop.task.at(*row).dz for row in zip(run.q, run.dq, strict=True)], atol=1e-12)
+
+
+def test_residuals_of_a_robot_without_inertia_are_those_of_the_task():
+    joints = "".join(
+        f'<joint name="j{i}" type="continuous"><parent link="l{i}"/><child link="l{i + 1}"/>'
+        f'<origin xyz="0.3 0 0"/><axis xyz="0 0 1"/></joint><link name="l{i}"/>'
+        for i in range(3)
+    )
+    robot = load_robot(f'<robot name="arm">{joints}<link name="l3"/></robot>')
+    task, q = PositionTask(robot, "l3", axes="xy"), np.array([0.3, 0.9, -0.5])
+    run = chart_following(task, circle(task.value(q), 0.05, period=1.0), q, duration=1.0)
+    residuals = run.residuals(robot)
+    assert residuals["task"] < 1e-9
+    assert np.isnan([residuals["torque"], residuals["power"]]).all()
 
 
 def test_run_is_saved_drawn_and_read_again(ran, tmp_path):

@@ -65,6 +65,14 @@ def read_by_mujoco(robot):
     return model, mujoco.MjData(model)
 
 
+def test_inverse_dynamics_undo_forward_dynamics():
+    plant, random = MujocoPlant.from_robot(arm("panda")), np.random.default_rng(3)
+    for q, dq in states(7, 20):
+        ddq = random.normal(size=7)
+        tau = plant.inverse_dynamics(q, dq, ddq)
+        np.testing.assert_allclose(plant.forward_dynamics(q, dq, tau), ddq, atol=1e-9)
+
+
 # -- the same robot ------------------------------------------------------------------------------------------------
 
 

@@ -146,10 +146,10 @@ def test_table_that_cannot_be_read(tmp_path, monkeypatch):
     (tmp_path / "binary.csv").write_bytes(b"\x80\x81\x82")
     with pytest.raises(InputError, match="not text in UTF-8"):
         read_waypoints(tmp_path / "binary.csv")
-    monkeypatch.setattr("eos_pin.trajectories.waypoints.MOST_ROWS", 2)
+    monkeypatch.setattr("eos_pin.trajectories.text_tables.MOST_ROWS", 2)
     with pytest.raises(InputError, match="more than 2 rows; keep every second"):
         read_waypoints(write(tmp_path, FORMS["commas"]))
-    monkeypatch.setattr("eos_pin.trajectories.waypoints.MOST_BYTES", 50)
+    monkeypatch.setattr("eos_pin.trajectories.text_tables.MOST_BYTES", 50)
     with pytest.raises(InputError, match="longer than"):
         read_waypoints(write(tmp_path, FORMS["commas"]))
 

@@ -65,17 +65,17 @@ def arcs_within(component: Component, number: int, lower: JointVector, upper: Jo
     n = component.kinematics.n
     start, end = (_OPEN[kind] for kind in component.curve.ends)
     limited = np.isfinite(lower) | np.isfinite(upper)
-    bands = [_bands(component, joint, lower[joint], upper[joint]) for joint in np.flatnonzero(limited).tolist()]
+    spans = [_spans(component, joint, lower[joint], upper[joint]) for joint in np.flatnonzero(limited).tolist()]
     pieces: list[_Piece] = [(0.0, component.length, (0,) * n, (start, end))]
-    if not all(bands):
+    if not all(spans):
         return []
-    flat = [band for joint_bands in bands for band in joint_bands]
+    flat = [span for several in spans for span in several]
     monotone = _monotone(component, lower, upper, limited)
     cuts = _cuts(component, flat, monotone)
     own: dict[int, list[tuple[float, float, int, tuple[str, str]]]] = {}
-    for band, some in zip(flat, cuts, strict=True):
-        x_start = float(monotone[band.joint][1][0])
-        own.setdefault(band.joint, []).extend(_inside(component, band, some, x_start, (start, end)))
+    for span, some in zip(flat, cuts, strict=True):
+        x_start = float(monotone[span.joint][1][0])
+        own.setdefault(span.joint, []).extend(_inside(component, span, some, x_start, (start, end)))
     for joint, parts in own.items():
         pieces = [both for piece in pieces for part in parts if (both := _overlap(piece, part, joint))]
     return sorted(
@@ -83,7 +83,7 @@ def arcs_within(component: Component, number: int, lower: JointVector, upper: Jo
     )
 
 
-class _Band(NamedTuple):
+class _Span(NamedTuple):
     """The limits of one joint, moved by whole turns to where the component is."""
 
     joint: int
@@ -92,22 +92,22 @@ class _Band(NamedTuple):
     upper: float
 
 
-def _bands(component: Component, joint: int, lower: float, upper: float) -> list[_Band]:
-    """The bands of a joint that its values on the component reach."""
+def _spans(component: Component, joint: int, lower: float, upper: float) -> list[_Span]:
+    """Its limits where its values on the component reach."""
     which, _, bends = component.bends
     x = component.curve.q[:, joint]
     bends = bends[which == joint]
-    # What the cubics get wrong must not lose a band.
+    # What the cubics get wrong must not lose one.
     least, most = (
         float(end(x.min() if end is min else x.max(), end(bends, default=x[0]) + slack))
         for end, slack in ((min, -NEAR), (max, NEAR))
     )
     if not component.kinematics.revolute[joint]:
-        return [_Band(joint, 0, lower, upper)] if least <= upper and most >= lower else []
+        return [_Span(joint, 0, lower, upper)] if least <= upper and most >= lower else []
     # Without a lower limit any turn will do that is below the upper one; the turn next to it is taken.
     first = math.ceil(((lower if np.isfinite(lower) else upper - TAU) - most) / TAU)
     last = math.floor(((upper if np.isfinite(upper) else lower + TAU) - least) / TAU)
-    return [_Band(joint, turn, lower - TAU * turn, upper - TAU * turn) for turn in range(first, last + 1)]
+    return [_Span(joint, turn, lower - TAU * turn, upper - TAU * turn) for turn in range(first, last + 1)]
 
 
 def _monotone(
@@ -136,18 +136,18 @@ def _monotone(
 
 
 def _cuts(
-    component: Component, bands: Sequence[_Band], monotone: dict[int, tuple[Array, Array]]
+    component: Component, spans: Sequence[_Span], monotone: dict[int, tuple[Array, Array]]
 ) -> list[tuple[Array, Array]]:
-    """For each band the arc lengths at which the joint crosses its lower and its upper bound."""
+    """For each span the arc lengths at which the joint crosses its lower and its upper bound."""
     rows: list[tuple[Array, ...]] = []
     sizes = []
-    for band in bands:
-        s, x = monotone[band.joint]
-        for limit in (band.lower, band.upper):
+    for span in spans:
+        s, x = monotone[span.joint]
+        for limit in (span.lower, span.upper):
             side = x >= limit
             i = np.flatnonzero(side[1:] != side[:-1])
             sizes.append(len(i))
-            rows.append((s[i], s[i + 1], x[i], x[i + 1], np.full(len(i), limit), np.full(len(i), band.joint)))
+            rows.append((s[i], s[i + 1], x[i], x[i + 1], np.full(len(i), limit), np.full(len(i), span.joint)))
     if not rows:
         return []
     low, high, x_low, x_high, bound, joint = (np.concatenate(column) for column in zip(*rows, strict=True))
@@ -179,21 +179,21 @@ def _roots(
 
 
 def _inside(
-    component: Component, band: _Band, cuts: tuple[Array, Array], x: float, ends: tuple[str, str]
+    component: Component, span: _Span, cuts: tuple[Array, Array], x: float, ends: tuple[str, str]
 ) -> list[tuple[float, float, int, tuple[str, str]]]:
-    """Intervals of arc length on which a joint is within a band, x being its value at the start."""
-    name = component.kinematics.joint_names[band.joint]
-    beyond = [x < band.lower, x >= band.upper]
+    """Intervals of arc length on which a joint is within a span, x being its value at the start."""
+    name = component.kinematics.joint_names[span.joint]
+    beyond = [x < span.lower, x >= span.upper]
     events = sorted((float(s), bound) for bound, some in enumerate(cuts) for s in some)
     causes = (f"lower limit of {name}", f"upper limit of {name}")
     pieces, start, first = [], 0.0, ends[0]
     for s, bound in events:
         if not any(beyond) and start < s:
-            pieces.append((start, s, band.turn, (first, causes[bound])))
+            pieces.append((start, s, span.turn, (first, causes[bound])))
         beyond[bound] = not beyond[bound]
         start, first = s, causes[bound]
     if not any(beyond) and start < component.length:
-        pieces.append((start, component.length, band.turn, (first, ends[1])))
+        pieces.append((start, component.length, span.turn, (first, ends[1])))
     return pieces
 
 
