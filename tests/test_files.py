@@ -91,7 +91,7 @@ def test_save_that_is_killed_leaves_the_old_file_or_the_new(tmp_path: Path) -> N
     assert figures["interrupted"] > 12
 
 
-def test_killing_would_be_noticed(tmp_path: Path) -> None:
+def test_save_in_place_would_be_damaged_by_a_kill(tmp_path: Path) -> None:
     """Written in place, as `numpy.savez` would, the file is lost."""
     assert kill(tmp_path / "run.npz", 20, "in place")["damaged"] > 5
 
@@ -110,7 +110,7 @@ def test_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path) -
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_next_save_removes_what_a_killed_one_left_behind(tmp_path: Path) -> None:
+def test_save_removes_what_a_killed_one_left_behind(tmp_path: Path) -> None:
     path = tmp_path / "run[1].npz"
     # The process ends in the middle of a save, without a chance to clean up.
     write = "lambda file: (file.write(b'half'), os._exit(0))"
@@ -135,7 +135,7 @@ def test_writing_to_forbidden_place_raises(tmp_path: Path) -> None:
         write_atomically(tmp_path, lambda file: file.write(b"new"))
 
 
-def test_missing_folder_is_made(tmp_path: Path) -> None:
+def test_write_makes_missing_folders(tmp_path: Path) -> None:
     path = tmp_path / "new" / "folder" / "file"
     write_atomically(path, lambda file: file.write(b"new"))
     assert path.read_bytes() == b"new"

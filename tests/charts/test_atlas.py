@@ -94,7 +94,7 @@ def test_task_of_any_kind_goes_round_and_comes_back(task):
 # -- several charts ----------------------------------------------------------------------------------------------------
 
 
-def test_through_several_charts_the_joints_move_continuously(ppr):
+def test_joints_move_continuously_through_several_charts(ppr):
     """v grows by more than one chart holds: y3 of the ppr robot turns several times."""
     task = every_task(ppr)["position xy"]
     atlas, count = Atlas(task), 400
@@ -142,7 +142,7 @@ def test_worn_chart_is_replaced_where_it_fails(ppr):
     assert path.q[0, 2] > np.pi
 
 
-def test_far_first_point_is_walked_to(position):
+def test_atlas_follow_walks_to_a_far_first_point(position):
     """The path need not start where the robot is, and its points may lie far apart."""
     goals = np.array([[0.3, 0.45, 0.4], [0.4, -0.4, 0.6]])
     path = Atlas(position).follow(HOME, goals)
@@ -467,7 +467,7 @@ def test_search_without_a_way_downhill_ends(ur5):
     ],
     ids=lambda wrong: "-".join(wrong),
 )
-def test_wrong_wishes_are_refused(position, wrong, unchecked):
+def test_atlas_solve_refuses_wrong_arguments(position, wrong, unchecked):
     arguments = {"q": HOME, "z": [0.4, 0.1, 0.5]} | wrong
     with pytest.raises(InputError):
         Atlas(position).solve(arguments.pop("q"), arguments.pop("z"), **arguments)

@@ -59,7 +59,7 @@ def check(basis, J):
 
 @forms
 @given(m=st.integers(1, 6), r=st.integers(1, 60), seed=seeds)
-def test_basis_and_its_products(dense, m, r, seed):
+def test_basis_has_the_products_of_its_columns(dense, m, r, seed):
     J = np.random.default_rng(seed).normal(size=(m, m + r))
     check(first(J, dense), J)
 
@@ -143,7 +143,7 @@ def chart(request):
     return Chart.from_base(task, q, previous=before)
 
 
-def test_identities_of_charts_of_many_joints(chart):
+def test_charts_of_many_joints_keep_the_identities(chart):
     """Eqs. (11), (16)–(20) with V as it is written out."""
     n, random = chart.n, np.random.default_rng(1)
     q, dq, ddw = chart.q_bar + 0.1 * random.normal(size=n) / np.sqrt(n), *random.normal(size=(2, n))

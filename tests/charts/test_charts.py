@@ -55,7 +55,7 @@ def room(chart):
 
 @every
 @given(data=st.data())
-def test_chart_is_what_equation_10_says(task, data):
+def test_chart_has_the_parts_of_equation_10(task, data):
     chart = Chart.from_base(task, regular(data, task))
     n, m = task.robot.n, task.m
     z, J = task.linearize(chart.q_bar)
@@ -123,7 +123,7 @@ def test_acceleration_needs_neither_h_nor_e(task, data):
 
 
 @every
-def test_joints_follow_v_and_z_as_h_says(task):
+def test_h_is_the_derivative_of_the_joints_by_z_and_v(task):
     """The columns of H are ∂y/∂z and ∂y/∂v: finite differences of the inverse kinematic map itself."""
     chart = Chart.from_base(task, _regular_state(task))
     q = chart.q_bar + 0.05 * np.random.default_rng(5).normal(size=chart.n)
@@ -369,7 +369,7 @@ def test_margin_is_the_cosine_of_the_largest_principal_angle(task, data):
 
 @every
 @given(seed=seeds, threshold=st.floats(0.01, 0.99), spread=st.floats(0.0, 2.0))
-def test_contains_says_what_margin_says(task, seed, threshold, spread):
+def test_chart_contains_joints_of_positive_margin(task, seed, threshold, spread):
     """For any Jacobian, close to that of the base point or not."""
     chart = Chart.from_base(task, _regular_state(task))
     random = np.random.default_rng(seed)
@@ -381,7 +381,7 @@ def test_contains_says_what_margin_says(task, seed, threshold, spread):
 
 
 @given(base=st.floats(-3.0, 3.0), turn=st.floats(-3.1, 3.1))
-def test_margin_of_the_ppr_robot(ppr, base, turn):
+def test_margin_of_the_ppr_robot_has_its_closed_form(ppr, base, turn):
     """In closed form: turned by a from its base point it is (1 + cos a) / 2, so the chart ends at half a turn."""
     task = every_task(ppr)["position xy"]
     chart = Chart.from_base(task, [0.1, -0.2, base])

@@ -150,7 +150,7 @@ def test_task_space_dynamics_have_the_motion_they_stand_for(task, data):
 
 @every
 @given(data=st.data())
-def test_consistent_inverse_and_its_projector(task, data):
+def test_consistent_inverse_and_its_projector_obey_equations_7_and_8(task, data):
     """Eqs. (7), (8): torques in the range of Nᵀ do not accelerate the task, and Nᵀ is a projector."""
     robot, (q, dq) = task.robot, state(data, task)
     point = task.at(q, dq)

@@ -67,7 +67,7 @@ def test_track_writes_a_run_that_loads_and_replays(capsys: pytest.CaptureFixture
 
 
 @pytest.mark.usefixtures("quick_pictures")
-def test_track_by_path_with_tool_payload_lock_and_swing() -> None:
+def test_track_takes_tool_payload_and_swing() -> None:
     source = Path(__file__).parents[2] / "robots" / "planar_chain_10.urdf"
     words = ["--tool", "0.5", "0", "0", "--payload", "0.2", "--swing", "0.2", "--cycles", "2"]
     found = figures("track", str(source), *words, "--size", "0.5")
@@ -77,7 +77,7 @@ def test_track_by_path_with_tool_payload_lock_and_swing() -> None:
 
 
 @pytest.mark.usefixtures("quick_pictures")
-def test_track_sampled_with_everything_against_it() -> None:
+def test_track_bears_noise_delay_and_model_error() -> None:
     against = ["--noise", "1e-6", "--delay", "0.001", "--model-error", "0.05", "--torque-limits", "--seed", "3"]
     found = figures("track", "panda", "--control-rate", "1000", "--cycles", "1", *against)
     assert found["status"] == "finished"
@@ -85,7 +85,7 @@ def test_track_sampled_with_everything_against_it() -> None:
 
 
 @pytest.mark.usefixtures("quick_pictures")
-def test_track_pushed_with_friction_and_missed_periods() -> None:
+def test_track_bears_pushes_friction_and_missed_periods() -> None:
     words = ["track", "panda", "--control-rate", "1000", "--path", "line", "--size", "0.05", "--duration", "1"]
     errors = []
     for against in ([], ["--friction", "0.5", "0.5"], ["--push", "0", "5", "0", "--push-time", "0.4", "0.6"]):
@@ -98,7 +98,7 @@ def test_track_pushed_with_friction_and_missed_periods() -> None:
 
 
 @pytest.mark.usefixtures("quick_pictures")
-def test_path_from_a_file_and_a_run_out_of_reach() -> None:
+def test_track_takes_a_path_from_a_file_and_tells_what_is_out_of_reach() -> None:
     Path("path.csv").write_text("t,x,y,z\n0,0.45,0,0.7\n2,0.45,0.2,0.6\n4,0.4,0,0.6\n")
     assert figures("track", "panda", "--path", "path.csv")["task_error_max"] < 1e-6
     Path("far.csv").write_text("0,0.45,0,0.7\n2,1,0,0.6\n")

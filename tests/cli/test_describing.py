@@ -42,7 +42,7 @@ def described(capsys, text, *words):
     return " ".join(said.out.split()), found
 
 
-def test_robot_that_lacks_nothing(capsys):
+def test_info_of_a_complete_robot_lists_no_lack(capsys):
     said, found = described(capsys, arm())
     assert found["cannot"] == {}
     coupling = found["coupling"]
@@ -66,14 +66,14 @@ def test_info_names_links_without_inertia(capsys):
     assert "l1, l2, l3, l4, l5" in capsys.readouterr().err
 
 
-def test_task_that_takes_all_joints(capsys):
+def test_info_tells_that_a_task_takes_all_joints(capsys):
     said, found = described(capsys, arm(6), "--task", "pose")
     assert found["r"] == 0
     assert "there is no self-motion to command" in said
     assert "Try: eos-pin track arm.urdf --task pose" in said
 
 
-def test_task_that_does_not_fit(capsys):
+def test_info_tells_that_a_task_does_not_fit(capsys):
     said, found = described(capsys, arm(4), "--task", "pose", "--html", "arm.html", "--plot", "arm.png")
     assert list(found["cannot"]) == ["task"]
     assert "No such task: PoseTask" in said
@@ -82,21 +82,21 @@ def test_task_that_does_not_fit(capsys):
     assert Path("arm.png").exists()
 
 
-def test_frame_that_no_joint_moves(capsys):
+def test_info_tells_that_no_joint_moves_a_frame(capsys):
     # The one joint turns about the line on which all frames lie.
     said, found = described(capsys, arm(1))
     assert list(found["cannot"]) == ["task"]
     assert "stays where it is" in said
 
 
-def test_start_where_no_chart_can_be_made(capsys):
+def test_info_warns_where_no_chart_can_be_made(capsys):
     said, found = described(capsys, arm(3, axes=("0 1 0",)), "--axes", "xz", "--q0", "0", "0", "0")
     assert list(found["cannot"]) == ["chart"]
     assert "Warning:" in said
     assert found["singular"]
 
 
-def test_mistake_of_the_caller_is_refused(capsys):
+def test_info_refuses_mistakes_of_the_caller(capsys):
     Path("arm.urdf").write_text(arm())
     for words in (["--q0", "1", "2"], ["--axes", "xw"], ["--frame", "toool"]):
         assert main(["info", "arm.urdf", *words]) == 2

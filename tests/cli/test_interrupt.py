@@ -141,7 +141,7 @@ def test_sweep_started_from_python_does_not_keep_an_interrupted_run(tmp_path: Pa
     assert not list(tmp_path.iterdir())
 
 
-def test_whole_result_passes(ppr, unchecked) -> None:
+def test_uninterrupted_passes_a_whole_result(ppr, unchecked) -> None:
     task = eos_pin.PositionTask(ppr, "tip", "xy")
     q = eos_pin.experiments.defaults.rest_posture(task)
     run = eos_pin.simulate(ppr, eos_pin.EosController(task, eos_pin.Hold(task.value(q))), q, duration=0.1)

@@ -102,7 +102,7 @@ def test_torque_is_the_long_form_of_the_paper(name, data):
 
 @pytest.mark.parametrize("name", EXAMPLES)
 @given(data=st.data())
-def test_exact_model_obeys(name, data):
+def test_exact_model_moves_with_the_acceleration_asked_for(name, data):
     controller, state, point, t = draw_state(name, data.draw)
     F = asked_acceleration(controller, state, point, t)
     tau = controller.torque(t, point.q, point.dq, state)
@@ -186,7 +186,7 @@ def test_reference_and_atlas_must_fit_the_task(panda):
         EosController(task, Hold(np.zeros(3)), atlas=Atlas(pose))
 
 
-def test_controller_without_gravity_compensation(panda):
+def test_controller_without_gravity_compensation_leaves_gravity_out(panda):
     task = PositionTask(panda, tip(panda))
     q, dq = random_state(panda, seed=7)
     reference = task.hold(q)

@@ -209,7 +209,7 @@ def test_process_that_dies_ends_the_sweep_with_advice(tmp_path):
 
 
 @pytest.mark.slow
-def test_killed_half_way_no_finished_run_is_computed_twice(tmp_path):
+def test_sweep_that_was_killed_computes_no_finished_run_twice(tmp_path):
     code = (
         f"import sys, pathlib; sys.path[:0] = {[str(Path(__file__).parent), str(Path(__file__).parents[1])]!r}\n"
         "from test_sweeps import noted, sweep\n"
@@ -244,7 +244,7 @@ def test_dask_cluster_gives_the_same_table():
     assert {row["status"] for row in rows} == {"finished"}
 
 
-def test_jobs_cannot_be_none_at_all():
+def test_sweep_refuses_no_jobs_at_all():
     with pytest.raises(InputError, match="-1"):
         sweep([], jobs=0)
 

@@ -204,7 +204,7 @@ def test_border_is_the_same_compiled_and_plain():
     assert taken > 0.5 * STATES
 
 
-def test_torque_checks_agree():
+def test_checks_of_torques_agree():
     inside = 0
     for random, n in vectors(2):
         tau, per_limit = random.normal(size=n), random.uniform(0.0, 0.8, n)

@@ -34,7 +34,7 @@ def followed(task, z, q, start, end):
     return max(errors) < 1e-9 and inside and ends and np.abs(np.diff(q, axis=0)).max() < 0.25
 
 
-def test_passage_along_an_arc_and_none_to_another_arc(panda):
+def test_passage_leads_along_an_arc_and_to_no_other(panda):
     task = PoseTask(panda, "panda_hand_tcp")
     z = task.value(READY)
     arcs = self_motion_manifold(task, z).sampled(0.05)
@@ -52,7 +52,7 @@ def test_passage_along_an_arc_and_none_to_another_arc(panda):
         assert "limit of panda_joint" in refused.reason
 
 
-def test_passage_through_trees_where_four_joints_are_redundant(panda):
+def test_passage_is_found_by_trees_where_four_joints_are_redundant(panda):
     task = PositionTask(panda, "panda_hand_tcp")
     z = task.value(READY)
     away = READY + np.array([0.0, 0.3, -1.5, 0.2, 1.2, 0.3, 2.0])

@@ -413,7 +413,7 @@ def test_interpreted_kinematics_are_those_of_the_kernel(task, panda, monkeypatch
         assert np.abs(manifold.linearize(found, Z)[0]).max() < 1e-10
 
 
-def test_rotation_vectors_at_and_near_half_a_turn():
+def test_rotation_vectors_are_right_at_and_near_half_a_turn():
     axis = np.array([0.6, 0.0, 0.8])
     for angle in (0.0, 1e-9, 1.0, np.pi - 1e-9, np.pi):
         R = pin.exp3(angle * axis)[:, :, None]

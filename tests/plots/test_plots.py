@@ -98,7 +98,7 @@ def draw(figure, tmp_path):
 
 class TestPages:
     @pytest.mark.parametrize("name", ["eos", "task-space"])
-    def test_overview_of_a_planar_robot(self, runs, ppr, name, tmp_path):
+    def test_overview_of_a_planar_robot_has_eight_panels(self, runs, ppr, name, tmp_path):
         figure = plots.overview(runs[name], ppr)
         assert len(figure.axes) == 8
         assert draw(figure, tmp_path).stat().st_size > 20_000
@@ -120,7 +120,7 @@ class TestPages:
         draw(plots.overview(result), tmp_path)
         draw(plots.comparison({"fall": result}), tmp_path)
 
-    def test_task_that_is_no_path(self, panda, tmp_path):
+    def test_overview_of_a_task_without_path_shows_its_coordinates(self, panda, tmp_path):
         q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
         task = OrientationTask(panda, "panda_hand_tcp")
         controller = EosController(task, task.hold(q))
@@ -185,7 +185,7 @@ class TestPanels:
         scale = ax.figure.axes[1]
         assert scale.get_yticklabels()[0].get_text() == "$q_{1}$"
 
-    def test_orbit_of_the_joints_themselves(self, runs, ppr):
+    def test_orbit_of_the_joints_has_their_names(self, runs, ppr):
         ax = add_axes(Figure(), 111, solid=True)
         plots.plot_orbit(ax, runs["eos"], ppr)
         assert (ax.get_xlabel(), ax.get_zlabel()) == ("$q_{1}$ [m]", "$q_{3}$ [rad]")
@@ -325,7 +325,7 @@ class TestFiles:
             plots.save(energies(runs), tmp_path / name)
         assert not list(tmp_path.iterdir())
 
-    def test_place_that_cannot_be_written(self, runs, tmp_path):
+    def test_figure_in_a_forbidden_place_is_refused(self, runs, tmp_path):
         (tmp_path / "file").touch()
         with pytest.raises(OutputError, match="cannot write"):
             plots.save(energies(runs), tmp_path / "file" / "figure.png")

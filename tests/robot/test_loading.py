@@ -107,7 +107,7 @@ def test_wrong_name_lists_near_ones():
         ("planar_chain_10", "tip"),
     ],
 )
-def test_frame_a_person_means(name, frame):
+def test_default_frame_is_the_one_a_person_means(name, frame):
     assert load_robot(name, chain_to="auto").options["chain_to"] == frame
 
 
@@ -259,7 +259,7 @@ def test_locks_that_do_not_fit_are_refused(lock, error, message):
 # -- tools and payloads ------------------------------------------------------------------------------------------
 
 
-def test_tool_and_payload_against_the_theorem_of_steiner():
+def test_tool_and_payload_obey_the_theorem_of_steiner():
     pose = pin.SE3(pin.exp3(np.array([0.1, -0.4, 0.2])), np.array([0.02, 0.0, 0.15]))
     inertia = np.diag([0.01, 0.02, 0.025])
     payload = Payload(1.5, "probe", com=[0.0, 0.03, 0.1], inertia=inertia)
@@ -275,7 +275,7 @@ def test_tool_and_payload_against_the_theorem_of_steiner():
     assert robot.mass(q) - bare.mass(q) == pytest.approx(added, abs=EXACT)
 
 
-def test_tool_in_any_form():
+def test_tool_is_taken_in_any_form():
     position = load_robot("ppr", tool=Tool("tip", [0.1, 0.2, 0.0]))
     matrix = load_robot("ppr", tool=Tool("tip", pin.SE3(np.eye(3), np.array([0.1, 0.2, 0.0])).homogeneous))
     q = np.array([0.3, 0.4, 0.5])
@@ -345,7 +345,7 @@ def urdf(tmp_path):
     return write
 
 
-def test_path_of_any_kind(urdf, monkeypatch, tmp_path):
+def test_load_robot_takes_paths_of_any_kind(urdf, monkeypatch, tmp_path):
     path = urdf(arm(), "möbel/räuber 機.urdf")
     monkeypatch.chdir(tmp_path)
     for source in (path, str(path), os.path.relpath(path, tmp_path)):
@@ -457,7 +457,7 @@ def test_external_entities_are_not_read(urdf, tmp_path):
                 load_robot(urdf(text))
 
 
-def test_things_that_are_no_files(tmp_path, urdf):
+def test_load_robot_refuses_what_is_no_file(tmp_path, urdf):
     with pytest.raises(RobotError, match="there is no file"):
         load_robot(tmp_path / "missing.urdf")
     urdf(arm(), "one.urdf")
@@ -475,7 +475,7 @@ def test_things_that_are_no_files(tmp_path, urdf):
         load_robot(huge)
 
 
-def test_file_that_may_not_be_read(urdf, monkeypatch):
+def test_load_robot_tells_that_a_file_may_not_be_read(urdf, monkeypatch):
     path = urdf(arm())
 
     def refuse(*_args, **_kwargs):
@@ -486,7 +486,7 @@ def test_file_that_may_not_be_read(urdf, monkeypatch):
         load_robot(path)
 
 
-def test_odd_files_that_are_fine(urdf, capfd):
+def test_load_robot_reads_odd_files(urdf, capfd):
     drake = arm().replace("<robot", '<robot xmlns="http://drake.mit.edu"')
     assert load_robot(urdf(drake)).n == 1
     plugin = arm(joint() + "<gazebo><sensor:camera/></gazebo>")
@@ -835,7 +835,7 @@ def test_damaged_meshes_are_left_out_with_a_warning(urdf, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_materials_that_spoil_a_file(urdf, capfd):
+def test_load_robot_repairs_materials(urdf, capfd):
     box = '<box size="1 2 3"/></geometry><material name="m"/></visual><visual><geometry><box size="1 1 1"/>'
     red = '<material name="m"><color rgba="1 0 0 1"/><texture filename="package://x/y.png"/></material>'
     robot = load_robot(urdf(shaped(box).replace("<link", red + red + "<material/><link", 1)))

@@ -75,7 +75,7 @@ def test_functions_of_a_posture_take_names(panda):
         np.testing.assert_array_equal(run.dq[0], np.eye(7)[0] * 0.1)
 
 
-def test_words_are_read_by_name():
+def test_command_line_reads_positions_by_name():
     assert by_name(["a=1", "b", "c=d=-2e-1"], "--lock") == {"a": 1.0, "b": None, "c=d": -0.2}
     with pytest.raises(InputError, match="--lock of joint 'a' must be a number, got 'x'"):
         by_name(["a=x"], "--lock")

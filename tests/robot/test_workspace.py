@@ -62,7 +62,7 @@ ASKED = {
 
 
 @pytest.mark.parametrize("name", ASKED)
-def test_dynamics(tree, name):
+def test_workspace_serves_the_dynamics(tree, name):
     """From a workspace that is new, and from one that was used before."""
     random = np.random.default_rng(1)
     full = Robot(tree.model)
@@ -84,7 +84,7 @@ def test_dynamics(tree, name):
     ],
     ids=["position", "relative", "orientation", "pose", "com"],
 )
-def test_tasks(tree, make, monkeypatch):
+def test_workspace_serves_tasks(tree, make, monkeypatch):
     task = make(tree)
     monkeypatch.setattr(workspace, "FULL", JOINTS)
     full, random = make(tree), np.random.default_rng(2)

@@ -79,7 +79,7 @@ def test_dropouts_are_reproducible_and_none_is_none(panda, task):
     np.testing.assert_array_equal(run(1, dropout=0.0, noise=noise), run(1, noise=noise))
 
 
-def test_missing_half_of_all_periods_is_like_a_longer_period(panda, task):
+def test_dropout_of_half_the_periods_is_like_a_longer_period(panda, task):
     def error(**options):
         run = simulate_sampled(panda, EosController(task, eight(task)), REST, duration=2.0, **options)
         return np.abs(run.error[run.settled_row :]).max()

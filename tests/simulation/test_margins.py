@@ -54,7 +54,7 @@ def test_limits_that_are_passed_are_told_with_joint_and_size():
     assert found["told"] == "passed: position by 0.6 m (c), torque 1.5 times (a)"
 
 
-def test_limits_of_a_robot_without_some_of_them_are_none_moving_or_not(panda):
+def test_limits_that_a_robot_lacks_are_none_moving_or_not(panda):
     model = panda.model.copy()
     model.effortLimit, model.velocityLimit = np.full(7, np.inf), np.full(7, np.inf)
     endless = replace(panda, model=model, source="", urdf_sha256="")

@@ -202,7 +202,7 @@ def test_integrators_of_mujoco_all_follow(panda, integrator):
     assert 1e-7 < np.abs(run.q - ours.q).max() < 1e-3
 
 
-def test_force_and_friction_act_there_too(panda):
+def test_mujoco_plant_feels_force_and_friction(panda):
     controller = control(panda, "position")
     push = TaskForce(controller.task, lambda t: (0.0, 0.0, -10.0 * (t > 0.2)))
     options = {"duration": 0.5, "task_force": push, "friction": Friction(viscous=0.5, coulomb=0.5)}
@@ -246,7 +246,7 @@ def test_mujoco_plant_refuses_unknown_integrator_and_joints(panda, monkeypatch):
 
 
 @pytest.mark.usefixtures("quick_pictures")
-def test_track_on_mujoco_from_the_command_line(tmp_path, monkeypatch):
+def test_track_command_runs_on_mujoco(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["track", "ppr", "--plant", "mujoco", "--cycles", "2"]
     assert main([*words, "--html", "replay.html", "--plot", "figure.png", "--json", "figures.json"]) == 0

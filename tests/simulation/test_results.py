@@ -184,7 +184,7 @@ def test_summary_is_plain(runs, kind):
     assert summary["torque_max"] == np.abs(runs[kind].tau).max()
 
 
-def test_summary_of_a_closed_loop(runs):
+def test_summary_of_a_closed_loop_has_its_figures(runs):
     summary = runs["pose"].summary()
     assert (summary["m"], summary["r"], summary["cycles"], summary["period"]) == (6, 1, 2, 0.5)
     assert summary["settled_from"] == 0.5
@@ -323,7 +323,7 @@ def test_result_load_reads_the_unchanged_file(runs, tmp_path):
     assert Result.load(tmp_path / "run.npz").ok
 
 
-def test_missing_files_and_folders(tmp_path):
+def test_result_load_refuses_missing_files_and_folders(tmp_path):
     for path in (tmp_path / "missing.npz", tmp_path):
         with pytest.raises(ResultError, match="cannot be read as a result of eos_pin"):
             Result.load(path)

@@ -190,7 +190,7 @@ def test_trial_steps_beyond_the_edge_of_a_chart_do_not_end_a_run(panda, seed):
     assert np.abs(extended.q - joints.q).max() < 1e-5
 
 
-def test_rotation_by_more_than_half_a_turn_in_the_extended_space(panda):
+def test_extended_space_carries_rotations_by_more_than_half_a_turn(panda):
     # The last joint turns the frame about its own axis, which wears no chart; but the coordinates of SO(3) end at π.
     task = PoseTask(panda, tip(panda))
     controller = Shaken(panda, REST, 0, size=0.0)
@@ -455,7 +455,7 @@ def test_extended_space_ends_where_no_chart_is(ur5):
 
 
 @pytest.mark.parametrize("method", ["DOP853", "LSODA"])
-def test_integrator_that_gives_up(ppr, method):
+def test_integrator_that_gives_up_ends_the_run(ppr, method):
     run = simulate(ppr, OpenLoop(lambda t: ((1.0 - t) ** -2, 0.0, 0.0)), np.zeros(3), duration=2.0, method=method)
     assert run.status in ("diverged", "integration_failed", "stuck")
     assert 0.9 < run.t[-1] <= 1.0
@@ -466,7 +466,7 @@ def test_integrator_that_gives_up(ppr, method):
         assert "gave up at t = 0.5 s" in run.message
 
 
-def test_gains_too_high_for_the_period(panda):
+def test_gains_too_high_for_the_period_end_the_run(panda):
     task = PositionTask(panda, tip(panda))
     controller = EosController(task, Hold(task.value(REST) + 0.02), kp=1e5, kd=700.0)
     run = simulate_sampled(panda, controller, REST, duration=2.0, control_period=0.02, torque_limits=False)
@@ -579,7 +579,7 @@ def test_simulation_refuses_a_plant_of_other_joints(panda, ppr):
         simulate_extended(ppr, idle, np.zeros(3), duration=1.0, atlas=Atlas(task))
 
 
-def test_runs_from_any_state(panda):
+def test_simulation_starts_from_any_state(panda):
     q, dq = random_state(panda, seed=7)
     task = PositionTask(panda, tip(panda))
     run = simulate(panda, EosController(task, task.hold(q)), q.tolist(), dq.tolist(), duration=1)

@@ -74,7 +74,7 @@ def test_local_coordinates_change_at_their_rate(panda, kind):
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1.0, math.pi - 1e-6, math.pi, 4.0, 6.0])
-def test_local_rate_of_a_rotation_by_any_angle_short_of_a_turn(panda, angle):
+def test_local_rate_of_a_rotation_is_right_up_to_a_turn(panda, angle):
     task = OrientationTask(panda, tip(panda))
     z_bar = np.eye(3).ravel()
     delta = angle * np.array([2.0, -1.0, 2.0]) / 3.0

@@ -152,7 +152,7 @@ def test_minus_and_plus_undo_each_other(task, data):
 
 @turning
 @pytest.mark.parametrize("short_of_pi", [np.pi, 3.0, 1.0, 1e-2, 1e-5, 1e-8, 1e-12, 0.0], ids="π−{}".format)
-def test_rotations_up_to_half_a_turn(task, short_of_pi):
+def test_differences_of_rotations_are_right_up_to_half_a_turn(task, short_of_pi):
     """From rotation 0 to exactly π, about axes in general and in special position."""
     angle = np.pi - short_of_pi
     random = np.random.default_rng(3)

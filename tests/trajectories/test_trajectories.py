@@ -96,7 +96,7 @@ def test_geodesic_is_a_straight_line_about_a_constant_axis(panda):
     assert path(99.0).z == pytest.approx(path.points[2])
 
 
-def test_geodesic_of_orientations_and_positions(panda):
+def test_geodesic_has_its_derivatives_and_points(panda):
     orientation, position = OrientationTask(panda, tip(panda)), PositionTask(panda, tip(panda))
     R = pin.exp3(np.array([0.3, -0.2, 0.9]))
     turn = Geodesic(orientation, [np.eye(3), R], [1.0, 2.0])
@@ -111,7 +111,7 @@ def test_geodesic_of_orientations_and_positions(panda):
 
 
 @given(t=st.floats(-10.0, 10.0))
-def test_figure_eight_of_the_paper(t):
+def test_figure_eight_is_that_of_the_paper(t):
     # Eq. (34): (sin t, sin t cos t)
     z, dz, ddz = figure_eight((0.0, 0.0))(t)
     np.testing.assert_allclose(z, (math.sin(t), math.sin(t) * math.cos(t)), atol=1e-14)
@@ -147,7 +147,7 @@ def test_trajectories_with_a_period_repeat(name):
 
 
 @pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if kind.duration < math.inf])
-def test_those_of_finite_duration_rest_after_it(name):
+def test_trajectories_of_finite_duration_rest_after_it(name):
     trajectory = KINDS[name]
     end = trajectory(trajectory.duration)
     for t in trajectory.duration + np.array([0.0, 1e-9, 1.0, 1e6]):
@@ -306,7 +306,7 @@ def test_errors_in_a_csv_file_name_the_line(tmp_path, text, message):
         spline_from_csv(path)
 
 
-def test_csv_file_that_cannot_be_read(tmp_path):
+def test_csv_file_that_cannot_be_read_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"cannot read the path .*missing\.csv"):
         spline_from_csv(tmp_path / "missing.csv")
     (tmp_path / "binary.csv").write_bytes(b"\x80\x81\x00\x01")

@@ -140,7 +140,7 @@ def test_table_is_refused_with_file_line_and_cause(tmp_path, case):
     assert "path.csv" in str(error.value)
 
 
-def test_table_that_cannot_be_read(tmp_path, monkeypatch):
+def test_table_that_cannot_be_read_is_refused(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"cannot read the path .*missing\.csv"):
         read_waypoints(tmp_path / "missing.csv")
     (tmp_path / "binary.csv").write_bytes(b"\x80\x81\x82")

@@ -412,7 +412,7 @@ def test_server_leaves_no_process_behind(end: str) -> None:
         os.killpg(script.pid, 0)
 
 
-def test_open_says_whether_a_browser_came(ppr: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_viewer_open_tells_whether_a_browser_came(ppr: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     opened = []
     monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or True)
     with Viewer(Scene(ppr), np.zeros(3), port=0) as viewer:
