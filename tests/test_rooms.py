@@ -25,7 +25,7 @@ TABLE = """
     planning        coal pinocchio scipy toppra trimesh yaml
     control         daqp pylibfranka scipy
     simulation      mujoco pinocchio scipy
-    experiments     gymnasium joblib pinocchio pyarrow
+    experiments     gymnasium joblib pinocchio pyarrow scipy
     viewer          coal pinocchio rerun tornado trimesh
     plots           matplotlib
     cli             matplotlib rich tyro

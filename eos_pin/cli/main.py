@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import tyro
 
 from eos_pin.cli.info import info
+from eos_pin.cli.many.sweep import sweep
 from eos_pin.cli.output import (
     console,
     guarded,
 )
-from eos_pin.cli.sweep import sweep
 from eos_pin.errors import OldNameError
 
 # What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
@@ -24,6 +24,7 @@ from eos_pin.cli.analyze import analyze
 from eos_pin.cli.demo import demo
 from eos_pin.cli.explore import explore
 from eos_pin.cli.ik import ik
+from eos_pin.cli.many.bench import bench
 from eos_pin.cli.plan import plan
 from eos_pin.cli.rehearse import rehearse
 from eos_pin.cli.replay import replay, robots
@@ -46,10 +47,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words == ["--version"]:
         console.print(f"eos-pin {version('eos-pin')}")
         return 0
-    commands = {
-        f.__name__: f
-        for f in (demo, explore, track, plan, compare, sweep, rehearse, analyze, info, ik, selfmotion, replay, robots)
-    }
+    listed = (
+        demo,
+        explore,
+        track,
+        plan,
+        compare,
+        sweep,
+        bench,
+        rehearse,
+        analyze,
+        info,
+        ik,
+        selfmotion,
+        replay,
+        robots,
+    )
+    commands = {f.__name__: f for f in (*listed, robots)}
 
     def command() -> int:
         _refuse_old_flags(words)

@@ -63,7 +63,7 @@ class Case:
         self.M, self.h = robot.mass(self.q), robot.bias(self.q, self.dq)
         self.J = self.task.linearize(self.q)[1]
         self.xi = 40.0 * (self.rest - self.q) - 9.0 * self.dq
-        self.inertia = np.diag(np.diag(robot.mass(self.rest)))
+        self.inertia = np.diag(1.0 / np.diag(np.linalg.inv(robot.mass(self.rest))))
 
     def asked(self, t=None):
         """Task acceleration that is asked for, without the drift; Eq. (33)."""
@@ -308,11 +308,11 @@ def test_sliding_mode_bound_covers_what_wrong_models_change(case):
     controller = SlidingModeController(case.task, case.path, model_error=0.2)
     state = controller.start(case.t, case.rest, 0.0 * case.dq)
     found = controller.surface(case.t, case.q, case.dq, state)
-    H = np.linalg.inv(np.vstack((case.J, state.chart.V.T)))
+    H = np.linalg.inv(np.vstack((case.J, state.chart.Wt)))
     dq_r = case.dq + H @ found.s
     # dJ dq_r + J ddq_r = ddz_r, with the rate of J by another difference.
     target, v = case.path(case.t), state.chart.v(case.q)
-    ddw_r = np.concatenate((target.ddz + 10.0 * (target.dz - case.J @ case.dq), -10.0 * (state.chart.V.T @ case.dq)))
+    ddw_r = np.concatenate((target.ddz + 10.0 * (target.dz - case.J @ case.dq), -10.0 * (state.chart.Wt @ case.dq)))
     after, before = (case.task.linearize(case.q + step * case.dq)[1] for step in (STEP, -STEP))
     ddw_r[: len(case.J)] -= (after - before) @ dq_r / (2.0 * STEP)
     ddq_r = H @ ddw_r

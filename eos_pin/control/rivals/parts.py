@@ -54,6 +54,11 @@ def inverse_rate(J: Jacobian, dJ: Jacobian, J_plus: Float[Array, "n m"]) -> Floa
     return outer - J_plus @ (J @ outer + dJ @ J_plus)
 
 
+def free_inertia(robot: Robot, q: JointVector) -> JointVector:
+    """Inertia of each joint with all other joints free, 1/(M⁻¹)ᵢᵢ [kg m² or kg]."""
+    return frozen_copy(1.0 / np.diag(np.linalg.inv(robot.mass(q))))
+
+
 class PostureController(TaskController):
     """A law that tracks a task and draws the joints to a posture as far as the task lets it.
 
@@ -88,8 +93,9 @@ class PostureController(TaskController):
         self.posture = frozen_copy(vector(posture, n, "the posture"))
         self.kp_posture = frozen_copy(gains(kp_posture, n, "the posture gain kp"))
         self.kd_posture = frozen_copy(gains(kd_posture, n, "the posture gain kd"))
-        #: Inertia of each joint at the posture: it makes torques of gains in 1/s² where a law has no mass matrix.
-        self.inertia = frozen_copy(np.diag(task.robot.mass(self.posture)))
+        #: Inertia of each joint at the posture, all others free: it makes torques of gains in 1/s² where a law has no
+        #: mass matrix. With all others fixed it is many times as much, and dampers made of that too stiff for any loop.
+        self.inertia = free_inertia(task.robot, self.posture)
 
     def describe(self) -> dict[str, Any]:
         named = ("posture", "kp_posture", "kd_posture")

@@ -148,7 +148,7 @@ class SlidingModeController(EosController):
         lacking = task._tracking_acceleration(point.z, point.dz, Target(z_d, dz_d, rest), self._slow, self._one)
         ddz_r = task._tracking_acceleration(point.z, point.dz, Target(z_d, dz_d, ddz_d), rest, self._slow)
         s = np.concatenate((lacking, dv_d - dv + slow * (v_d - chart._v(q))))
-        A = np.vstack((J, chart.Vt))
+        A = np.vstack((J, chart.Wt))
         dq_r = dq + chart._acceleration(J, s[:m], s[m:])
         ddv_r = ddv_d + slow * (dv_d - dv)
         ddq_r = chart._acceleration(J, ddz_r - jacobian_rate(task, q, dq).dot(dq_r), ddv_r)
