@@ -35,6 +35,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from setting import FAR
+from solvable import judged as judged_solvable
 
 from eos_pin import (
     Atlas,
@@ -125,6 +126,8 @@ def made(number: int, seed: int) -> tuple[Task, Plan | EosError, dict[str, Any]]
         if size < 0.05 or found is not None:
             size, q = 0.6, random.uniform(lower, upper)
     row = {"number": number, "robot": name, "task": "pose" if pose else "position", "shape": shape, "size": size}
+    if isinstance(found, EosError):
+        row["solvable"] = judged_solvable(task, path)
     return task, found, row | {"seconds": seconds, "changes_asked": changes}
 
 
@@ -372,6 +375,8 @@ def told(command: str, rows: list[dict[str, Any]]) -> tuple[str, list[str], list
         cells = []
         for name, words in METHODS.items():
             met = [row for row in rows if name in row]
+            if not met:
+                continue
             of = [row[name] for row in met]
             those = [row[name]["repeats"] for row in met if row in changing]
             worst = max((max(m["drift"]) for m in of if m["repeats"]), default=0.0)
@@ -389,6 +394,24 @@ def told(command: str, rows: list[dict[str, Any]]) -> tuple[str, list[str], list
         cells.append([outcome, judged_as or "-", str(len(met)), f"{max(ends):.1e}" if ends else "-"])
     columns = ["outcome", "judged by something else", "cases", "furthest from the plan at the end, rad"]
     return f"{command}: {len(rows)} cases", columns, cells
+
+
+def others(rows: list[dict[str, Any]]) -> list[list[str]]:
+    """The paths that were not planned, or whose joints do not repeat under torque control: reason and place."""
+    cells = []
+    for row in rows:
+        planned, sampled = row["planned"], row["sampled"]
+        name = [str(row["number"]), row["robot"], row["task"], row["shape"]]
+        if "solvable" in row:
+            reason = planned["message"].split(": ", 1)[-1].split(". ")[0]
+            cells.append([*name, f"refused: {reason}", row["solvable"]])
+        elif not (planned["repeats"] and sampled["repeats"]):
+            met = planned if not planned["repeats"] else sampled
+            reason = met["message"] or "the joints come back further off than 1e-6 rad"
+            kind = "continuous time" if met is planned else "held torques"
+            drift = f", {met['drift'][0]:.1e} rad in the first round" if met["drift"] else ""
+            cells.append([*name, f"{kind}: {reason}{drift}", "planned"])
+    return cells
 
 
 def main() -> int:
@@ -422,11 +445,11 @@ def main() -> int:
         table.add_row(*cell)
     console.print(table)
     if options.write:
-        marked.fill(marked.PLANNING, options.command, f"\n\n{title}:\n{marked.table(columns, cells)}")
-    for row in rows:
-        bad = row.get("planned", {})
-        if bad and not bad["repeats"]:
-            console.print(f"{row['number']} {row['robot']} {row['task']} {row['shape']}: {bad['message']}")
+        text = f"\n\n{title}:\n{marked.table(columns, cells)}"
+        if options.command == "repeat" and (rest := others(rows)):
+            heads = ["number", "robot", "task", "shape", "reason", "motions by a random search of all joints"]
+            text += f"\nThe paths that were not planned, or do not repeat:\n{marked.table(heads, rest)}"
+        marked.fill(marked.PLANNING, options.command, text)
     return 0
 
 
