@@ -35,6 +35,7 @@ from eos_pin import (
     Controller,
     ControlLoop,
     EosController,
+    ImpedanceController,
     LimitedEosController,
     PoseTask,
     PoseTrajectory,
@@ -92,6 +93,8 @@ def twins() -> tuple[Calls, Calls]:
         bound = np.full(14, 10.0)
         change = point.J, task.robot.mass(REST), -bound, np.where(np.arange(14) == 1, -1.0, bound)
 
+        soft = ImpedanceController(task, task.hold(REST)).start(0.0, REST, dq).laws[0].at_rest
+        pull = dq, point.z, point.J, dq
         frame = plain_form(task.kernel)
         plain_law, plain_map, plain_limits = map(plain_form, (state.law, state.drive._kernel, limited._within))
         pairs: dict[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
@@ -108,6 +111,7 @@ def twins() -> tuple[Calls, Calls]:
                 partial(plain_limits, REST, dq, 40.0 * ddq, point.J),
             ),
             "ChangeProgram": (partial(program, *change), partial(plain_form(program), *change)),
+            "Springs": (partial(soft, *pull), partial(plain_form(soft), *pull)),
             "on_chart_inverse": _pair("on_chart_inverse", point.J, chart.U),
             "newton_step": _pair("newton_step", REST, chart.U, error, chart.B_bar, error),
         }
@@ -146,6 +150,7 @@ def whole() -> Calls:
         controllers: dict[str, Controller] = {
             "step": EosController(task, path),
             "step within limits": LimitedEosController(task, path),
+            "step of an impedance": ImpedanceController(task, task.hold(REST)),
         }
         for name, controller in controllers.items():
             loop = ControlLoop(controller)

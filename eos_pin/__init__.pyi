@@ -18,6 +18,7 @@ from .control import EnergyNullSpace as EnergyNullSpace
 from .control import EosController as EosController
 from .control import FollowJoints as FollowJoints
 from .control import FollowPlan as FollowPlan
+from .control import ForceGoal as ForceGoal
 from .control import FreeNullSpace as FreeNullSpace
 from .control import ImpedanceController as ImpedanceController
 from .control import JointLimits as JointLimits
@@ -31,6 +32,7 @@ from .control import OperationalSpaceController as OperationalSpaceController
 from .control import Posture as Posture
 from .control import PostureNullSpace as PostureNullSpace
 from .control import ReduceKineticEnergy as ReduceKineticEnergy
+from .control import Safety as Safety
 from .control import SumObjective as SumObjective
 from .control import Track as Track
 from .control import gravity_overload as gravity_overload

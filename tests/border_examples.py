@@ -126,7 +126,7 @@ def objects():
     listed += [eos_pin.ExtendedDynamics.from_state(robot, chart, q, dq), controller, task, space, hold, made["trial"]]
     listed += [eos_pin.TaskSpaceDynamics(robot, q, dq, task.at(q, dq)), eos_pin.ControlLoop(controller)]
     listed += [eos_pin.LimitedEosController(task, hold), eos_pin.OperationalSpaceController(task, hold)]
-    listed += [eos_pin.ImpedanceController(task, hold)]
+    listed += [eos_pin.ImpedanceController(task, hold), eos_pin.ForceGoal({"x": 5.0}), eos_pin.Safety()]
     listed += [eos_pin.Damp(), eos_pin.OpenLoop(lambda t: [0.0] * 3), eos_pin.DampedNullSpace()]
     listed += [eos_pin.DescendPotential(lambda q: q), eos_pin.Track([0.0]), eos_pin.FollowPlan(plan)]
     listed += [eos_pin.FollowJoints(lambda t: (q, dq, dq)), eos_pin.Posture(q), eos_pin.PostureNullSpace(q)]
@@ -245,6 +245,9 @@ def special(label):
         },
         "ToleranceTask": {"whole": task, "tolerance": {"y": 0.1}},
         "JointTask": {"combinations": [{made["robot"].joints[0].name: 1.0}]},
+        "ForceGoal": {"forces": {"x": 5.0}},
+        "ForceGoal.integrated": {"integral": z, "exerted": z, "past": 0.01},
+        "Safety.filtered": {"past": 0.01, "before": q},
         "ImpedanceController.led": {"part": "elbow"},
         "JointMap": {"names": [joint.name for joint in made["robot"].joints]},
         "write_html": {"path": "motion.html", "scene": eos_pin.Scene(made["robot"]), "t": [0.0, 1.0], "q": rows},

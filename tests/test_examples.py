@@ -21,7 +21,7 @@ SCREEN = 64
 
 
 def test_examples_are_numbered_without_gaps():
-    assert [path.name[:3] for path in EXAMPLES] == [f"{k:02}_" for k in range(1, 11)]
+    assert [path.name[:3] for path in EXAMPLES] == [f"{k:02}_" for k in range(1, 12)]
 
 
 #: Tasks of the examples of one's own classes: label and unit of each coordinate, and the axis of their first panel.

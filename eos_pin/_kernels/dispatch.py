@@ -1,8 +1,9 @@
 """The choice between compiled and plain kernels.
 
 A kernel is a function or a class that takes and returns plain arrays. Its plain form is written in NumPy, to be read.
-Where it runs in every control step and NumPy's price for a call counts, `law.pyx`, `limits.pyx` and `parts.pyx` have a
-compiled form of the same name, with the same arguments and the same results to rounding (`benchmarks/compiled.py`).
+Where it runs in every control step and NumPy's price for a call counts, `law.pyx`, `limits.pyx`, `parts.pyx` and
+`springs.pyx` have a compiled form of the same name, with the same arguments and the same results to rounding
+(`benchmarks/compiled.py`).
 Without a compiler, and with EOS_PIN_COMPILED=0 in the environment, the plain forms do everything.
 """
 
@@ -22,6 +23,7 @@ COMPILED = {
         "Curve", "StateMonitor", "flat_pose", "largest", "newton_step", "on_chart_inverse",
         "pose_difference", "state_rate", "within_limits_fast",
     ),
+    "springs": ("Springs",),
     "_chain": ("Chain", "LARGEST"),
     "_solids": ("distances",),
     "_step": ("KinematicStep",),
@@ -29,7 +31,7 @@ COMPILED = {
 }  # fmt: skip
 
 #: Those of kernels whose plain forms `use_compiled` chooses between.
-WITH_PLAIN_FORMS = ("law", "limits", "parts")
+WITH_PLAIN_FORMS = ("law", "limits", "parts", "springs")
 
 #: Statuses of a kernel that cannot always answer: it did, its caller has to decide, or there is no answer.
 DONE, UNDECIDED, NO_ANSWER = 0, 1, 2

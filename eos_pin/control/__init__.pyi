@@ -1,6 +1,8 @@
 from .base import Controller as Controller
 from .base import OpenLoop as OpenLoop
+from .compliant.forces import ForceGoal as ForceGoal
 from .compliant.impedance import ImpedanceController as ImpedanceController
+from .compliant.safety import Safety as Safety
 from .eos import EosController as EosController
 from .following import FollowJoints as FollowJoints
 from .following import FollowPlan as FollowPlan

@@ -11,6 +11,7 @@ URDF arrives at the same robot is a test.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from types import ModuleType
@@ -139,8 +140,14 @@ def _import_mujoco() -> ModuleType:
     return mujoco
 
 
-def _compile(mujoco: ModuleType, robot: pin.Model) -> Any:
-    """MuJoCo's model of the same joints and bodies."""
+def _compile(mujoco: ModuleType, robot: pin.Model, more: Callable[[Any, list[Any]], None] | None = None) -> Any:
+    """MuJoCo's model of the same joints and bodies.
+
+    Args:
+        mujoco: The library.
+        robot: The robot.
+        more: Adds to MuJoCo's specification and the bodies of the joints; bodies are added after the robot's.
+    """
     spec = mujoco.MjSpec()
     spec.option.gravity = robot.gravity.linear
     off = mujoco.mjtDisableBit
@@ -174,9 +181,12 @@ def _compile(mujoco: ModuleType, robot: pin.Model) -> Any:
             raise InputError(f"joint {robot.names[i]!r} is a screw ({robot.joints[i].shortname()}); MuJoCo has none")
         kind = mujoco.mjtJoint.mjJNT_SLIDE if linear.any() else mujoco.mjtJoint.mjJNT_HINGE
         bodies[i].add_joint(name=robot.names[i], type=kind, axis=linear + angular, armature=robot.armature[i - 1])
+    if more is not None:
+        more(spec, bodies)
     model = spec.compile()
     # Its compiler refuses point masses, bodies without mass, and inertias that no real body has; its dynamics does not.
-    model.body_mass[:], model.body_inertia[:] = (np.array(values) for values in zip(*inertias, strict=True))
+    of_robot, (masses, moments) = slice(len(inertias)), zip(*inertias, strict=True)
+    model.body_mass[of_robot], model.body_inertia[of_robot] = masses, moments
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 

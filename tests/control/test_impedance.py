@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from eos_pin import (
     AxisTask,
     ControlLoop,
+    ForceGoal,
+    Friction,
     ImpedanceController,
     InputError,
     MujocoPlant,
@@ -21,12 +23,15 @@ from eos_pin import (
     PoseTrajectory,
     PositionTask,
     Robot,
+    Safety,
     TaskForce,
     circle,
     simulate,
 )
 from eos_pin.control.compliant.gains import damping_of
+from eos_pin.control.compliant.observer import MomentumObserver
 from eos_pin.control.compliant.projected import ProjectedImpedance
+from eos_pin.control.compliant.safety import yielded
 
 TIP = "panda_hand_tcp"
 REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
@@ -262,3 +267,103 @@ def test_law_is_finite_at_any_state(panda: Robot, seed: int) -> None:
     assert np.isfinite(tau).all()
     # A step returns the torque of the memory that it returns.
     np.testing.assert_array_equal(tau, controller.torque(1.0, q, dq, later))
+
+
+# -- external forces, safety -------------------------------------------------------------------------------------------
+
+
+def test_observer_finds_a_held_torque_in_a_moving_arm(panda: Robot) -> None:
+    observer, plant = MomentumObserver(panda, 100.0), MujocoPlant.from_robot(panda)
+    q, dq, push = REST.copy(), np.linspace(-0.5, 0.5, 7), np.array([3.0, -2.0, 1.0, 4.0, 0.5, -0.3, 0.2])
+    observed = observer.start(0.0, q, dq)
+    for k in range(200):
+        tau = panda.gravity(q) + np.sin(9.0 * k * PERIOD) * np.array([5.0, 5.0, 2.0, 2.0, 0.5, 0.3, 0.1])
+        q, dq = plant.advance(q, dq, tau + push, PERIOD)
+        observed = observer.update((k + 1) * PERIOD, q, dq, observed, tau)
+    np.testing.assert_allclose(observed.external, push, atol=0.02)
+
+
+def test_compensation_keeps_tool_still_under_push_at_elbow(pose: PoseTask) -> None:
+    controller = ImpedanceController(pose, pose.hold(REST), observer=50.0, compensate_external=True)
+    push = TaskForce(PositionTask(pose.robot, "panda_link4"), lambda t: [10.0, 15.0, 5.0])
+    q, state = settled(controller, REST, lambda q: push.torque(0.0, q))
+    assert np.abs(pose.minus(pose.value(q), pose.value(REST))[:3]).max() < 1e-6
+    assert np.abs(state.chart.v(q)).max() > 0.01
+    powers = controller.energies(4.0, q, 0.0 * q + 0.1, state).injected
+    assert set(powers) == {"moving targets", "compensation of external forces"}
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"compensate_external": True}, "external forces must be known"),
+        ({"force": ForceGoal({"z": -5.0})}, "external forces must be known"),
+        ({"force": ForceGoal({"up": -5.0}), "observer": 50.0}, "no coordinate of the task"),
+        ({"force": ForceGoal({"z": -5.0}), "observer": 50.0, "axes": "tool"}, "axes of the world"),
+        ({"observer": 0.0}, "the rate of the observer"),
+    ],
+)
+def test_forces_without_sense_are_refused(pose: PoseTask, settings, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        ImpedanceController(pose, pose.hold(REST), **settings)
+
+
+def test_safety_refuses_friction_without_torque() -> None:
+    with pytest.raises(InputError, match=r"torque\(dq\)"):
+        Safety(friction=0.3)
+    with pytest.raises(InputError, match="the cutoff"):
+        Safety(velocity_cutoff=0.0)
+
+
+def test_force_goal_is_reached_against_a_soft_wall(pose: PoseTask) -> None:
+    """A wall of 5 kN/m below the tool, felt through the observer alone."""
+    controller = ImpedanceController(
+        pose, pose.hold(REST), force=ForceGoal({"z": -10.0}, rate=8.0), observer=100.0, damping_ratio=1.0
+    )
+    floor, force = pose.value(REST)[2] - 0.002, []
+
+    def wall(q: np.ndarray) -> np.ndarray:
+        z, J = pose.linearize(q)
+        force.append(5000.0 * max(floor - z[2], 0.0))
+        return force[-1] * J[2]
+
+    q, _ = settled(controller, REST, wall, duration=3.0)
+    assert abs(force[-1] - 10.0) < 0.05
+    assert np.abs(pose.minus(pose.value(q), pose.value(REST))[:2]).max() < 1e-3
+
+
+def test_self_motion_yields_before_the_task() -> None:
+    tau, own, limits = np.array([5.0, -9.0]), np.array([1.0, -4.0]), np.array([10.0, 7.0])
+    np.testing.assert_allclose(yielded(tau, own, limits), [4.5, -7.0])
+    np.testing.assert_allclose(yielded(tau, own, np.array([10.0, 4.0])), [4.0, -5.0])
+    np.testing.assert_allclose(yielded(tau, own, np.array([10.0, 20.0])), tau)
+
+
+def test_joint_limits_push_self_motion_only(pose: PoseTask) -> None:
+    q = REST.copy()
+    plain = ImpedanceController(pose, pose.hold(q))
+    guarded = plain.with_mode(safety=Safety(limit_stiffness=100.0, limit_zone=4.0))
+    rest = 0.0 * q
+    one, other = (law.torque(0.0, q, rest, law.start(0.0, q, rest)) for law in (guarded, plain))
+    more = one - other
+    chart = plain.start(0.0, q, rest).chart
+    assert np.abs(more).max() > 1.0
+    np.testing.assert_allclose(more, chart.V @ (chart.V.T @ more), atol=1e-10)
+
+
+def test_modes_with_additions_change_without_jump(pose: PoseTask) -> None:
+    friction = Friction(viscous=0.3, coulomb=0.2)
+    full = ImpedanceController(
+        pose, pose.hold(REST), observer=50.0, compensate_external=True,
+        safety=Safety(velocity_cutoff=50.0, friction=friction, limit_stiffness=20.0, limit_zone=1.0),
+    )  # fmt: skip
+    bare = full.with_mode(observer=None, compensate_external=False, safety=None)
+    plant, loop = MujocoPlant.from_robot(pose.robot), ControlLoop(full)
+    q, dq, last = REST + 0.05, np.zeros(7), None
+    for k in range(800):
+        if k % 200 == 100:
+            loop.controller = (bare, full)[k // 200 % 2]
+        tau = loop.step(k * PERIOD, q, dq)
+        assert k % 200 != 100 or np.abs(tau - last).max() < 0.3, k
+        last = tau
+        q, dq = plant.advance(q, dq, tau + np.array([5.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]) * min(k / 50, 1.0), PERIOD)

@@ -22,6 +22,7 @@ from eos_pin import (
     Chart,
     EosController,
     Hold,
+    ImpedanceController,
     InputError,
     JointLimits,
     LimitedEosController,
@@ -549,3 +550,13 @@ def test_plain_kernels_do_it_all_where_nothing_is_compiled():
         assert without == str(switch == "0")
         found[switch] = np.array(torque, dtype=float)
     np.testing.assert_allclose(found["1"], found["0"], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [PositionTask, OrientationTask, PoseTask])
+def test_springs_are_those_of_the_plain_form(panda, kind) -> None:
+    task = kind(panda, "panda_hand_tcp")
+    hold = task.hold(np.full(7, 0.4))
+    for q, dq in states(panda, 5, 50):
+        law = ImpedanceController(task, hold, damping_ratio=0.8).start(0.0, q, dq).laws[0].at_rest
+        state = dq, *task.linearize(q), 0.3 * dq
+        np.testing.assert_allclose(law(*state), plain_form(law)(*state), rtol=1e-10, atol=1e-8)

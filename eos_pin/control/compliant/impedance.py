@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from eos_pin._arrays import JointVector, VectorLike, checked, frozen_copy, number, of_type, vector, vectors_of
+from eos_pin._arrays import Jacobian, JointVector, VectorLike, checked, frozen_copy, number, of_type, vector, vectors_of
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.control.base import Controller
+from eos_pin.control.compliant.additions import Additions
+from eos_pin.control.compliant.energy import Energies, energies_of
+from eos_pin.control.compliant.forces import ForceGoal
 from eos_pin.control.compliant.gains import GainLike, gain_matrix, plain, ratio
 from eos_pin.control.compliant.law import Gains, ImpedanceLaw
 from eos_pin.control.compliant.memory import FILLING, ImpedanceState
+from eos_pin.control.compliant.observer import MomentumObserver
+from eos_pin.control.compliant.safety import Safety, pulled_back, yielded
 from eos_pin.control.compliant.springs import check_tool_axes, rotation_rows
 from eos_pin.errors import InputError, SingularError
 from eos_pin.robot.model import Robot
-from eos_pin.tasks.base import Task
+from eos_pin.tasks.base import Point, Task
 from eos_pin.trajectories.base import Hold, Target, Trajectory, check_reference
 
 #: What anchors the spring of the self-motion: joints, joints over time such as a plan, or the joints at hand.
@@ -31,26 +36,10 @@ HERE = "here"
 STIFFNESS, SELF_MOTION_STIFFNESS = {"m": 1000.0, "rad": 50.0}, 20.0
 #: Damping of a part that is led by hand: of lengths [N s/m] and angles [N m s/rad], and of the self-motion [N m s/rad].
 LED, LED_SELF_MOTION = {"m": 20.0, "rad": 1.0}, 2.0
+#: So many laws fade into each other before another chart has to wait.
+MOST_LAWS = 4
 #: Motion of the joints after which the margin of the chart is looked at again [rad or m].
 LOOK = 0.05
-
-
-class Energies(NamedTuple):
-    """Energies of an impedance-controlled robot in one state, and the power that its law brings in.
-
-    Attributes:
-        kinetic: Kinetic energy of the robot [J].
-        springs: Energy of the springs [J].
-        tank: Energy in the tank [J].
-        damping: Power that the dampers take [W].
-        injected: Power brought in by each part of the law that is not passive, by name [W].
-    """
-
-    kinetic: float
-    springs: float
-    tank: float
-    damping: float
-    injected: dict[str, float]
 
 
 class ImpedanceController(Controller):
@@ -86,6 +75,12 @@ class ImpedanceController(Controller):
             stiffest direction stops at that error, others where they have the same energy.
         blend: Time in which one chart or mode goes over to the next [s].
         tank: Energy in the tank at the start, and the most that it holds [J].
+        safety: Filter of velocities, friction, joint limits, torque limits; by default none.
+        observer: Rate of a momentum observer of external torques [1/s]; None without. It needs a sampled loop.
+        wrench: Measured force of the environment on the task, as a function of time, (m,) [N, N m]; it is used in the
+            place of the observer.
+        compensate_external: Whether the external force on z is compensated, so that pushes leave the task where it is.
+        force: Forces wanted along some coordinates of the task.
         atlas: Rule by which charts follow each other; by default that of `Atlas(task)`.
 
     Raises:
@@ -112,6 +107,11 @@ class ImpedanceController(Controller):
         largest_error: dict[str, float] | None = None,
         blend: float = 0.2,
         tank: float = 2.0,
+        safety: Safety | None = None,
+        observer: float | None = None,
+        wrench: Callable[[float], Any] | None = None,
+        compensate_external: bool = False,
+        force: ForceGoal | None = None,
         atlas: Atlas | None = None,
     ) -> None:
         self._settings = {key: value for key, value in locals().items() if key not in ("self", "task", "__class__")}
@@ -150,6 +150,17 @@ class ImpedanceController(Controller):
             axes=axes,
             clips=_clips(largest_error),
             feedforward=feedforward,
+            free=() if force is None else tuple(self._checked_force(force, axes)),
+        )
+        if (compensate_external or force is not None) and observer is None and wrench is None:
+            raise InputError("external forces must be known: give observer=50.0 or a measured wrench")
+        self.additions = Additions(
+            task=task,
+            safety=safety or Safety(),
+            observer=None if observer is None else MomentumObserver(task.robot, observer),
+            wrench=wrench,
+            compensate=compensate_external,
+            goal=force,
         )
         self.blend = number(blend, "the time of a blend", above=0.0)
         self.tank = number(tank, "the energy of the tank", at_least=0.0)
@@ -172,6 +183,13 @@ class ImpedanceController(Controller):
             vectors_of("joints of the posture", 3, n, posture, 0.0)
             return posture
         return frozen_copy(vector(posture, n, "the posture"))
+
+    def _checked_force(self, force: ForceGoal, axes: str) -> list[int]:
+        """Rows of the task along which a force is wanted."""
+        if axes == "tool":
+            raise InputError("forces are wanted along the axes of the world; give axes='world' with them")
+        force.check(self.task)
+        return force.rows(self.task)
 
     # -- modes -------------------------------------------------------------------------------------------------------
 
@@ -215,7 +233,8 @@ class ImpedanceController(Controller):
     def start(self, t: float, q: JointVector, dq: JointVector) -> ImpedanceState:
         chart = self.atlas.start(q)
         anchor = q.copy() if self.posture is None else self.posture
-        return ImpedanceState((self._law(chart, q, anchor),), (1.0,), t, self.tank, 0, q.copy())
+        sampled = self.additions.start(t, q, dq)
+        return ImpedanceState((self._law(chart, q, anchor),), (1.0,), t, self.tank, 0, q.copy(), sampled)
 
     def take_over(self, t: float, q: JointVector, dq: JointVector, state: Any) -> ImpedanceState:
         """Memory in which this mode fades in; from another controller, or another task, that at the start of a run."""
@@ -225,7 +244,12 @@ class ImpedanceController(Controller):
         ):
             return self._start(t, q, dq)
         anchor = state.laws[-1].anchor if self.posture is None else self.posture
-        return self._followed(t, state, self._law(state.chart, q, anchor))
+        before, sampled = state.sampled, self.additions.start(t, q, dq)
+        if before is not None and sampled is not None:
+            sampled = sampled._replace(dq=before.dq, observed=before.observed or sampled.observed, tau=before.tau)
+        carried = state.left(t, self.blend) if before is None else before.added
+        following = self._followed(t, state, self._law(state.chart, q, anchor))
+        return following._replace(sampled=sampled, carried=carried, since=t)
 
     def _law(self, chart: Chart, q: JointVector, anchor: Any) -> ImpedanceLaw:
         reference = self.reference or Hold(self.task._value(q), self.task.m)
@@ -234,20 +258,36 @@ class ImpedanceController(Controller):
 
     def _followed(self, t: float, state: ImpedanceState, law: ImpedanceLaw) -> ImpedanceState:
         """The state in which a law begins to fade in."""
-        return state._replace(
-            laws=(*state.laws, law),
-            weights=(*state.weights_at(t, self.blend), 0.0),
-            t=t,
-            tank=min(state.tank, self.tank),
-        )
+        pairs = [pair for pair in zip(state.weights_at(t, self.blend), state.laws, strict=True) if pair[0]]
+        weights, laws = zip(*pairs, (0.0, law), strict=True)
+        return state._replace(laws=laws, weights=weights, t=t, tank=min(state.tank, self.tank))
 
     def torque(self, t: float, q: JointVector, dq: JointVector, state: ImpedanceState) -> JointVector:
-        z, J = self.task._linearize(q)
-        tau = self.robot._gravity(q)
-        for weight, law in zip(state.weights_at(t, self.blend), state.laws, strict=True):
+        return self._torques(t, q, dq, state, *self.task._linearize(q))[0]
+
+    def _torques(
+        self, t: float, q: JointVector, dq: JointVector, state: ImpedanceState, z: Point, J: Jacobian
+    ) -> tuple[JointVector, JointVector | None]:
+        """Torque, and that of all additions in it; None without any."""
+        sampled, weights = state.sampled, state.weights_at(t, self.blend)
+        gravity = self.robot._gravity(q)
+        tau, seen = gravity.copy(), dq if sampled is None else self.additions.velocity(t, dq, sampled)
+        for weight, law in zip(weights, state.laws, strict=True):
             if weight:
-                tau += weight * law.torque(t, q, dq, z, J)
-        return tau
+                tau += weight * law.torque(t, q, seen, z, J)
+        if sampled is None and state.carried is None:
+            return tau, None
+        A, added = state.laws[-1].frame(J), np.zeros(q.size)
+        if sampled is not None:
+            added += state.part(t, self.blend) * sum(self.additions.torques(t, q, dq, A, sampled).values())
+        if (left := state.left(t, self.blend)) is not None:
+            added += left
+        tau += added
+        if self.additions.safety.yielding and (np.abs(tau) > self.robot.effort).any():
+            Q = pulled_back(A, tau - gravity)
+            m = self.task.m
+            tau = tau if Q is None else yielded(tau, Q[m:].dot(A[m:]), self.robot.effort)
+        return tau, added
 
     def step(
         self, t: float, q: JointVector, dq: JointVector, state: ImpedanceState
@@ -258,7 +298,10 @@ class ImpedanceController(Controller):
             if self._validity(t, q, dq, state) <= 0.0:
                 state = self._update(t, q, dq, state)
         z, J = self.task._linearize(q)
-        if len(state.laws) == 1 and state.tank >= self.tank:
+        sampled = state.sampled
+        if state.carried is not None and state.part(t, self.blend) >= 1.0:
+            state = state._replace(carried=None)
+        if sampled is None and state.carried is None and len(state.laws) == 1 and state.tank >= self.tank:
             tau = state.laws[0].torque(t, q, dq, z, J)
             tau += self.robot._gravity(q)
             return tau, state
@@ -266,7 +309,12 @@ class ImpedanceController(Controller):
             taken = sum(w * law.power(dq, J) for w, law in zip(state.weights, state.laws, strict=True))
             state = state._replace(tank=state.tank + FILLING * (t - state.t) * taken)
             state = state.paid(t, q, z, self.blend, self.tank)
-        return self._torque(t, q, dq, state), state
+        if sampled is None:
+            return self._torques(t, q, dq, state, z, J)[0], state
+        sampled = self.additions.advance(t, q, dq, state.laws[-1].frame(J), sampled)
+        state = state._replace(sampled=sampled)
+        tau, added = self._torques(t, q, dq, state, z, J)
+        return tau, state._replace(sampled=sampled._replace(added=added, tau=tau))
 
     def validity(self, t: float, q: JointVector, dq: JointVector, state: ImpedanceState) -> float:
         _, J = self.task._linearize(q)
@@ -279,6 +327,9 @@ class ImpedanceController(Controller):
         return min(margin, chart._room(q))
 
     def update(self, t: float, q: JointVector, dq: JointVector, state: ImpedanceState) -> ImpedanceState:
+        if len(state.laws) >= MOST_LAWS and state.weights_at(t, self.blend)[-1] < 1.0:
+            # The law needs no inverse of [G'; Wᵀ], so a worn chart serves until the last changes are through.
+            return state
         q = state.chart._unwrap(q)
         try:
             chart = self.atlas.next(state.chart, q)
@@ -286,7 +337,9 @@ class ImpedanceController(Controller):
             return state
         last = state.laws[-1]
         law = ImpedanceLaw(chart, last.gains, last.reference, last.anchor, q, self.robot)
-        return self._followed(t, state, law)._replace(number=state.number + 1, checked=q.copy())
+        following = self._followed(t, state, law)._replace(number=state.number + 1, checked=q.copy())
+        # On another chart external forces have other parts on z.
+        return following if state.sampled is None else following._replace(carried=state.sampled.added, since=t)
 
     def chart(self, state: ImpedanceState) -> Chart:
         return state.chart
@@ -313,15 +366,7 @@ class ImpedanceController(Controller):
             state: Memory.
         """
         of_type(state, "the memory of an ImpedanceController", ImpedanceState)
-        z, J = self.task._linearize(q)
-        springs = state.energy(t, q, z)
-        pairs = list(zip(state.weights, state.laws, strict=True))
-        damping = sum(weight * law.power(dq, J) for weight, law in pairs)
-        kinetic = self.robot._kinetic_energy(q, dq)
-        # What the torque does beyond gravity is what springs give and dampers take, and the rest is brought in.
-        beyond = (self._torque(t, q, dq, state) - self.robot._gravity(q)).dot(dq)
-        given = sum(weight * law.pull(t, q, z, J).dot(dq) for weight, law in pairs)
-        return Energies(kinetic, springs, state.tank, damping, {"moving targets": float(beyond - given + damping)})
+        return energies_of(self.additions, self.blend, t, q, dq, state)
 
     def describe(self) -> dict[str, Any]:
         gains = self.gains
@@ -334,6 +379,9 @@ class ImpedanceController(Controller):
             "axes": gains.axes,
             "blend": self.blend,
             "tank": self.tank,
+            "observer": None if self.additions.observer is None else self.additions.observer.rate,
+            "compensate_external": self.additions.compensate,
+            "force": None if self.additions.goal is None else dict(self.additions.goal.forces),
             "robot": self.robot.name,
             "reference": HERE if self.reference is None else type(self.reference).__name__,
             **self.atlas.describe(),

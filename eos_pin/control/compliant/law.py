@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from eos_pin._arrays import Array, Jacobian, JointVector, TaskVector, Vector
+from eos_pin._kernels import plain_springs
+from eos_pin._kernels.dispatch import use_compiled
+from eos_pin._kernels.plain_springs import shortened, turn_moment
 from eos_pin.charts.chart import Chart
 from eos_pin.control.compliant.gains import Square, damping_of
-from eos_pin.control.compliant.springs import Clip, rotation_rows, shortened, tool_axes, turn_moment
+from eos_pin.control.compliant.springs import Clip, rotation_rows, tool_axes
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Point
 from eos_pin.trajectories.base import Trajectory
+
+Springs = use_compiled(plain_springs.Springs)
 
 #: Joints at which the self-motion's spring is anchored: one posture, or joints with two derivatives over time.
 Anchor: TypeAlias = "JointVector | Callable[[float], tuple[JointVector, JointVector, JointVector]]"
@@ -33,6 +38,7 @@ class Gains:
         axes: `"world"`, or `"tool"` for those of the tool where it should be.
         clips: Errors at which the springs of lengths, of angles and of the self-motion stop growing; infinite for none.
         feedforward: Whether velocities and accelerations of moving targets are used.
+        free: Rows of the task along which there is no spring; their damping is as if there were one.
     """
 
     stiffness: Square
@@ -43,6 +49,7 @@ class Gains:
     axes: str = "world"
     clips: tuple[float, float, float] = (np.inf, np.inf, np.inf)
     feedforward: bool = True
+    free: tuple[int, ...] = ()
 
 
 class ImpedanceLaw:
@@ -86,8 +93,15 @@ class ImpedanceLaw:
         K = self._along(self._local_K)
         D = self._designed(K, q)
         self._local_D = self._along(D, back=True)
+        for X in (K, self._local_K):
+            X[list(gains.free)], X[:, list(gains.free)] = 0.0, 0.0
         self.K, self.D = K, D
         self._clips = self._bounds(n)
+        #: Springs and dampers in one, where targets are at rest and no spring is bounded.
+        self.at_rest: Any = None
+        if self._q_d is not None and self._z_d is not None and not self._clips:
+            turns = tuple(rows.start for rows, _ in self._rotations)
+            self.at_rest = Springs(self._Wt, K, D, self._z_d, self._minus, turns)
 
     def _along(self, X: Square, back: bool = False) -> Square:
         """A matrix of components along the tool's axes, or `back` to them, for those along the world's."""
@@ -130,6 +144,15 @@ class ImpedanceLaw:
                 found.append(Clip(where, K, 0.5 * float(np.linalg.eigvalsh(K)[-1]) * most**2))
         return tuple(found)
 
+    def frame(self, J: Jacobian) -> Array:
+        """[G'; Wᵀ], in a workspace of the law.
+
+        Args:
+            J: Jacobian G'(q).
+        """
+        self._G[:] = J
+        return self._A
+
     # -- the law -----------------------------------------------------------------------------------------------------
 
     def torque(self, t: float, q: JointVector, dq: JointVector, z: Point, J: Jacobian) -> JointVector:
@@ -142,6 +165,9 @@ class ImpedanceLaw:
             z: Task point at q.
             J: Jacobian at q.
         """
+        if self.at_rest is not None:
+            away = self._q_d - q if self._way is None else self._way(q, self._q_d)
+            return self.at_rest(dq, z, J, away)
         A = self._A
         self._G[:] = J
         if self._moving:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from eos_pin._arrays import JointVector
 from eos_pin.charts.chart import Chart
+from eos_pin.control.compliant.additions import Sampled
 from eos_pin.control.compliant.law import ImpedanceLaw
 from eos_pin.tasks.base import Point
 
@@ -23,6 +25,9 @@ class ImpedanceState(NamedTuple):
         tank: Energy in the tank [J].
         number: Number of charts before the one it is on.
         checked: Joints at which the margin of the chart was last looked at.
+        sampled: Memory of additions; None where there are none.
+        carried: Torque of the additions of the mode before, which fades out; None where there is none [N m or N].
+        since: Time since which the additions of this mode fade in [s].
     """
 
     laws: tuple[ImpedanceLaw, ...]
@@ -31,11 +36,22 @@ class ImpedanceState(NamedTuple):
     tank: float
     number: int
     checked: JointVector
+    sampled: Sampled | None = None
+    carried: JointVector | None = None
+    since: float = -math.inf
 
     @property
     def chart(self) -> Chart:
         """Chart of the law in charge."""
         return self.laws[-1].chart
+
+    def part(self, t: float, blend: float) -> float:
+        """Part of the additions of this mode that acts at time t; those of the mode before have the rest."""
+        return min((t - self.since) / blend, 1.0)
+
+    def left(self, t: float, blend: float) -> JointVector | None:
+        """Torque of the additions of the mode before that acts at time t; None where there is none."""
+        return None if self.carried is None else (1.0 - self.part(t, blend)) * self.carried
 
     def weights_at(self, t: float, blend: float) -> tuple[float, ...]:
         """Weights at a later time, if no energy is lacking."""

@@ -7,10 +7,11 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 
 from eos_pin._arrays import JointVector, VectorLike, checked, frozen_copy, vector
+from eos_pin._kernels.plain_springs import shortened, turn_moment
 from eos_pin.control.base import Controller
 from eos_pin.control.compliant.gains import GainLike, damping_of, gain_matrix, plain, ratio
 from eos_pin.control.compliant.law import Gains
-from eos_pin.control.compliant.springs import rotation_rows, shortened, turn_moment
+from eos_pin.control.compliant.springs import rotation_rows
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task

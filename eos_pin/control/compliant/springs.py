@@ -42,27 +42,6 @@ def rotation_rows(task: Task) -> tuple[tuple[slice, slice], ...]:
     return tuple(found)
 
 
-def shortened(e: Vector, rows: slice) -> tuple[float, Vector]:
-    """Replace a rotation vector in e by twice the vector part of its quaternion; the scalar part η, and ε."""
-    phi = e[rows]
-    a, b, c = phi.tolist()
-    half = 0.5 * math.sqrt(a * a + b * b + c * c)
-    # sin(θ/2) / (θ/2), by its series where the angle is small.
-    phi *= math.sin(half) / half if half > 1e-4 else 1.0 - half * half / 6.0
-    return math.cos(half), phi
-
-
-def turn_moment(F: Vector, rows: slice, eta: float, two_epsilon: Vector) -> None:
-    """Make of F = K e, in place, the moment that is the gradient of ½ eᵀK e: η F − ε × F."""
-    x, y, z = F[rows].tolist()
-    a, b, c = two_epsilon.tolist()
-    F[rows] = (
-        eta * x - 0.5 * (b * z - c * y),
-        eta * y - 0.5 * (c * x - a * z),
-        eta * z - 0.5 * (a * y - b * x),
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class Clip:
     """Bound of a spring's force: beyond an energy the force keeps its size, and stays the gradient of an energy.

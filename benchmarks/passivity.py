@@ -1,0 +1,161 @@
+"""Energy of random runs under impedance control: pushes, a wall, changes of charts and modes, in MuJoCo.
+
+    python benchmarks/passivity.py [--runs N] [--limits]
+
+A run is passive where the work of external torques is at least the change of kinetic, spring and tank energy. A torque
+that is held for a period is late by half of it, so that a run may gain c h; the table has c for several periods. With
+--limits the runs have observer, filter, friction, joint limits, singular starts, and limits of torques and their rates
+instead, and all that is counted is whether everything stays finite and within them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import NamedTuple
+
+import numpy as np
+
+from eos_pin import ControlLoop, Friction, ImpedanceController, MujocoPlant, PoseTask, PositionTask, Robot, load_robot
+from eos_pin.control.compliant.safety import Safety
+
+TOOL = "panda_hand_tcp"
+#: Length of a run [s], stiffness of the wall [N/m], largest change of a torque [N m/s].
+DURATION, WALL, RATE = 0.5, 3000.0, 2000.0
+PERIODS = (2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3)
+#: Every so many steps the energy is looked at.
+LOOK = 5
+
+
+class Outcome(NamedTuple):
+    """A run.
+
+    Attributes:
+        gained: Largest rise, from any time to any later one, of the energy less the work of external torques [J].
+        tank: Least energy in the tank [J].
+        touched: Whether the wall was touched.
+        charts: Number of changes of charts.
+        within: Whether all was finite, and torques within their limits and rates.
+        moved: Work of external torques, in magnitude [J].
+    """
+
+    gained: float
+    tank: float
+    touched: bool
+    charts: int
+    within: bool
+    moved: float
+
+
+def modes(first: ImpedanceController, random: np.random.Generator) -> ImpedanceController:
+    """A mode at random."""
+    m, r = first.task.m, first.robot.n - first.task.m
+    kind = random.integers(4)
+    if kind == 0:
+        return first.led("elbow")
+    if kind == 1:
+        return first.led("tool")
+    scale = 10.0 ** random.uniform(-1.0, 0.5)
+    units = np.array([1000.0 if unit == "m" else 50.0 for unit in first.task.units])
+    X = random.normal(size=(m, m))
+    K = scale * np.sqrt(units)[:, None] * (np.eye(m) + 0.1 * (X @ X.T)) * np.sqrt(units)
+    return first.with_mode(
+        stiffness=K,
+        self_motion_stiffness=10.0 ** random.uniform(0.3, 2.0, r),
+        damping_ratio=10.0 ** random.uniform(-2.0, 0.1),
+        posture=None if kind == 2 else "here",
+        reference=first.reference if kind == 2 else "here",
+    )
+
+
+def posture(robot: Robot, random: np.random.Generator, singular: bool) -> np.ndarray:
+    """Joints at random; stretched out where they are to be singular."""
+    middle, half = 0.5 * (robot.lower + robot.upper), 0.4 * (robot.upper - robot.lower)
+    q = middle + random.uniform(-1.0, 1.0, robot.n) * half
+    if singular:
+        q[3], q[5] = -0.08, 0.02 + 0.01 * random.random()
+    return q
+
+
+def run(robot: Robot, seed: int, period: float, limits: bool) -> Outcome:
+    """One run; everything about it but the period comes from the seed."""
+    random = np.random.default_rng(seed)
+    task = (PositionTask if seed % 2 else PoseTask)(robot, TOOL)
+    q = posture(robot, random, limits and seed % 3 == 0)
+    dq = 0.3 * random.normal(size=robot.n)
+    additions = {}
+    if limits:
+        friction = Friction(viscous=0.5, coulomb=0.3)
+        safety = Safety(velocity_cutoff=60.0, friction=friction, limit_stiffness=50.0, yielding=True)
+        additions = {"safety": safety, "observer": 30.0, "compensate_external": seed % 4 == 0}
+    first = ImpedanceController(task, task.hold(q), tank=0.2, blend=0.1, **additions)
+    plant = MujocoPlant.from_robot(robot)
+    loop = ControlLoop(first, torque_limits=limits, torque_rate=RATE if limits else None, jump=1.0)
+    point = PositionTask(robot, TOOL)
+    # A wall through a point near the tool, and three pushes.
+    normal = random.normal(size=3)
+    normal /= np.linalg.norm(normal)
+    edge = normal @ point.value(q) - 0.05 * random.random()
+    pushes = [(random.uniform(0.0, 0.4), 0.15 * robot.effort * random.normal(size=robot.n)) for _ in range(3)]
+    changes = sorted(random.uniform(0.05, 0.4, 3))
+    least, work, moved, gained, tank = np.inf, 0.0, 0.0, 0.0, np.inf
+    last, touched, within = None, False, True
+    for k in range(round(DURATION / period)):
+        t = k * period
+        if changes and t >= changes[0]:
+            changes.pop(0)
+            loop.controller = modes(first, random)
+        tau = loop.step(t, q, dq)
+        z, J = point.linearize(q)
+        depth = edge - normal @ z
+        touched |= depth > 0.0
+        external = J.T @ (WALL * max(depth, 0.0) * normal)
+        for when, push in pushes:
+            external = external + push * (when <= t < when + 0.05)
+        if limits:
+            within &= bool(np.isfinite(tau).all() and (np.abs(tau) <= robot.effort * (1.0 + 1e-9)).all())
+            within &= last is None or bool(np.abs(tau - last).max() <= RATE * period * (1.0 + 1e-9))
+        elif k % LOOK == 0:
+            found = loop.controller.energies(t, q, dq, loop.state)
+            energy = found.kinetic + found.springs + found.tank
+            # From any earlier time on.
+            least = min(least, energy - work)
+            gained = max(gained, energy - work - least)
+        tank = min(tank, loop.state.tank)
+        before, last = q, tau
+        q, dq = plant.advance(q, dq, tau + external, period)
+        if not (np.isfinite(q).all() and np.isfinite(dq).all()):
+            return Outcome(np.inf, tank, touched, loop.state.number, False, moved)
+        work += external @ (q - before)
+        moved += abs(external @ (q - before))
+    return Outcome(gained, tank, touched, loop.state.number, within, moved)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--others", type=int, default=100, help="runs with each of the other periods")
+    parser.add_argument("--limits", action="store_true")
+    arguments = parser.parse_args()
+    robot = load_robot("panda", chain_to=TOOL)
+    if arguments.limits:
+        found = [run(robot, seed, 1e-3, True) for seed in range(arguments.runs)]
+        good = sum(one.within for one in found)
+        print(
+            f"{good} of {len(found)} runs finite and within limits; least tank {min(one.tank for one in found):.3g} J"
+        )
+        return
+    print(f"{'h [ms]':>7}{'runs':>6}{'contact':>9}{'charts':>8}{'gained [J]':>12}{'median':>10}{'c [W]':>8}{'tank':>8}")
+    for period in PERIODS:
+        runs = arguments.runs if period == 1e-3 else min(arguments.others, arguments.runs)
+        found = [run(robot, seed, period, False) for seed in range(runs)]
+        gained = np.array([one.gained for one in found])
+        print(
+            f"{1e3 * period:7g}{runs:6}{sum(one.touched for one in found):9}{sum(one.charts for one in found):8}"
+            f"{gained.max():12.4f}{np.median(gained):10.2g}{gained.max() / period:8.1f}"
+            f"{min(one.tank for one in found):8.3g}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

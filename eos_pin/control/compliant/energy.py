@@ -1,0 +1,51 @@
+"""Energies of an impedance-controlled robot, and the power that parts of its law bring in."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from eos_pin._arrays import JointVector
+from eos_pin.control.compliant.additions import Additions
+from eos_pin.control.compliant.memory import ImpedanceState
+
+
+class Energies(NamedTuple):
+    """Energies of an impedance-controlled robot in one state, and the power that its law brings in.
+
+    Attributes:
+        kinetic: Kinetic energy of the robot [J].
+        springs: Energy of the springs [J].
+        tank: Energy in the tank [J].
+        damping: Power that the dampers take [W].
+        injected: Power brought in by each part of the law that is not passive, by name [W].
+    """
+
+    kinetic: float
+    springs: float
+    tank: float
+    damping: float
+    injected: dict[str, float]
+
+
+def energies_of(
+    additions: Additions, blend: float, t: float, q: JointVector, dq: JointVector, state: ImpedanceState
+) -> Energies:
+    """Energies in a state, and the power that the law brings in there."""
+    z, J = additions.task._linearize(q)
+    springs, kinetic = state.energy(t, q, z), additions.task.robot._kinetic_energy(q, dq)
+    pairs = list(zip(state.weights_at(t, blend), state.laws, strict=True))
+    damping = sum(weight * law.power(dq, J) for weight, law in pairs)
+    # What the laws do with true velocities is what springs give and dampers take; the rest comes from moving targets.
+    done = sum(weight * float(law.torque(t, q, dq, z, J).dot(dq)) for weight, law in pairs)
+    given = sum(weight * float(law.pull(t, q, z, J).dot(dq)) for weight, law in pairs)
+    injected = {"moving targets": done - given + damping}
+    if state.sampled is not None:
+        seen = additions.velocity(t, dq, state.sampled)
+        if seen is not dq:
+            filtered = sum(weight * float(law.torque(t, q, seen, z, J).dot(dq)) for weight, law in pairs)
+            injected["filter of velocities"] = filtered - done
+        added = additions.torques(t, q, dq, state.laws[-1].frame(J), state.sampled)
+        injected |= {name: state.part(t, blend) * float(tau.dot(dq)) for name, tau in added.items()}
+    if (left := state.left(t, blend)) is not None:
+        injected["mode before"] = float(left.dot(dq))
+    return Energies(kinetic, springs, state.tank, damping, injected)
