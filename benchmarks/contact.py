@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -60,7 +60,7 @@ class Scene:
         self.top, self.n = float(z[2]) - TIP - gap, robot.n
         last = robot.placement(q, robot.joint_names[-1]).actInv(robot.placement(q, TOOL))
 
-        def more(spec, bodies) -> None:
+        def more(spec: Any, bodies: list[Any]) -> None:
             spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET
             tip = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": [TIP, 0.0, 0.0], "pos": last.translation}
             bodies[-1].add_geom(name="tip", friction=[0.2, 0.0, 0.0], solref=CONTACT, condim=3, **tip)
@@ -116,7 +116,7 @@ def press(duration: float, *, observer: float | None = None, gap: float = 0.0005
     def swing(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         w = math.tau / BEAT
         s, ds, dds = 1.0 - math.cos(w * t), w * math.sin(w * t), w * w * math.cos(w * t)
-        return tuple(rest * (k == 0) + 0.5 * SWING * part * V for k, part in enumerate((s, ds, dds)))
+        return rest + 0.5 * SWING * s * V, 0.5 * SWING * ds * V, 0.5 * SWING * dds * V
 
     controller = ImpedanceController(
         task, path, posture=swing, stiffness={"m": 2000.0, "rad": 100.0}, self_motion_stiffness=40.0,
@@ -127,8 +127,8 @@ def press(duration: float, *, observer: float | None = None, gap: float = 0.0005
     forces, errors, v = [], [], []
     for k in range(round(duration / PERIOD)):
         t = k * PERIOD
-        q_now, target = q, path(t)
-        errors.append(np.linalg.norm((task.value(q_now) - target.z)[:2]))
+        target = path(t)
+        errors.append(float(np.linalg.norm((task.value(q) - target.z)[:2])))
         v.append(float(V @ q))
         q, dq = scene.advance(t, loop.step(t, q, dq))
         forces.append(scene.wrench[2])

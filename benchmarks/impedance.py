@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from chains import cpu
 
 from eos_pin import (
     ControlLoop,
+    EosController,
     ImpedanceController,
     MujocoPlant,
     PoseTask,
@@ -128,11 +131,36 @@ def laws(task: PoseTask, q: np.ndarray) -> dict[str, Impedance]:
     return found
 
 
+def steps(robot: Robot, rounds: int) -> None:
+    """Time of a step of a loop in slow motion, beside that of `EosController`; rounds in which both take turns."""
+    random = np.random.default_rng(0)
+    way = np.cumsum(2e-4 * random.normal(size=(200, robot.n)), axis=0)
+    for task in (PositionTask(robot, TOOL), PoseTask(robot, TOOL)):
+        hold = task.hold(REST)
+        loops = ControlLoop(EosController(task, hold)), ControlLoop(ImpedanceController(task, hold))
+
+        def walk(loop: ControlLoop) -> None:
+            for away in way:
+                loop.step(0.0, REST + away, away)
+
+        found = np.array([[cpu(partial(walk, loop), 0.02) / len(way) for loop in loops] for _ in range(rounds)])
+        ratios = found[:, 1] / found[:, 0]
+        eos, soft = 1e6 * np.median(found, axis=0)
+        print(
+            f"{type(task).__name__:14} EOS {eos:6.2f} µs, impedance {soft:6.2f} µs, ratio {np.median(ratios):.2f} "
+            f"(90 % below {np.quantile(ratios, 0.9):.2f})"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--postures", type=int, default=5)
+    parser.add_argument("--steps", type=int, default=0, help="only time steps, in so many rounds")
     arguments = parser.parse_args()
     robot = load_robot("panda", chain_to=TOOL)
+    if arguments.steps:
+        steps(robot, arguments.steps)
+        return
     task = PoseTask(robot, TOOL)
     chosen = [REST, *postures(robot, task, arguments.postures - 1)]
     print(f"A push of {PUSH:g} N at {ELBOW} along its self-motion, the tool held by {STIFFNESS}, MuJoCo at 1 kHz")

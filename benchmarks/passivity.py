@@ -11,7 +11,7 @@ instead, and all that is counted is whether everything stays finite and within t
 from __future__ import annotations
 
 import argparse
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -82,7 +82,7 @@ def run(robot: Robot, seed: int, period: float, limits: bool) -> Outcome:
     task = (PositionTask if seed % 2 else PoseTask)(robot, TOOL)
     q = posture(robot, random, limits and seed % 3 == 0)
     dq = 0.3 * random.normal(size=robot.n)
-    additions = {}
+    additions: dict[str, Any] = {}
     if limits:
         friction = Friction(viscous=0.5, coulomb=0.3)
         safety = Safety(velocity_cutoff=60.0, friction=friction, limit_stiffness=50.0, yielding=True)
@@ -115,7 +115,8 @@ def run(robot: Robot, seed: int, period: float, limits: bool) -> Outcome:
             within &= bool(np.isfinite(tau).all() and (np.abs(tau) <= robot.effort * (1.0 + 1e-9)).all())
             within &= last is None or bool(np.abs(tau - last).max() <= RATE * period * (1.0 + 1e-9))
         elif k % LOOK == 0:
-            found = loop.controller.energies(t, q, dq, loop.state)
+            mode: Any = loop.controller
+            found = mode.energies(t, q, dq, loop.state)
             energy = found.kinetic + found.springs + found.tank
             # From any earlier time on.
             least = min(least, energy - work)

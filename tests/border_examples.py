@@ -246,8 +246,6 @@ def special(label):
         "ToleranceTask": {"whole": task, "tolerance": {"y": 0.1}},
         "JointTask": {"combinations": [{made["robot"].joints[0].name: 1.0}]},
         "ForceGoal": {"forces": {"x": 5.0}},
-        "ForceGoal.integrated": {"integral": z, "exerted": z, "past": 0.01},
-        "Safety.filtered": {"past": 0.01, "before": q},
         "ImpedanceController.led": {"part": "elbow"},
         "JointMap": {"names": [joint.name for joint in made["robot"].joints]},
         "write_html": {"path": "motion.html", "scene": eos_pin.Scene(made["robot"]), "t": [0.0, 1.0], "q": rows},

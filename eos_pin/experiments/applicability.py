@@ -75,9 +75,19 @@ RULES = (
     Rule(("cycles",), lambda s: s["duration"] is None, "the duration is given; leave one of them out"),
     Rule(("cycles",), lambda s: s["path"] != "hold", "a robot that holds still has no rounds; give --duration"),
     Rule(
-        ("self_motion", "v", "swing", "kp", "kd", "kp_self_motion", "kd_self_motion", "chart_margin", "metric"),
+        ("self_motion", "v", "swing", "kp", "kd", "kp_self_motion", "kd_self_motion"),
         lambda s: s["controller"] in EOS,
-        "traditional controllers have gains and null-space laws of their own; use --controller eos or eos-limited",
+        "other controllers have gains and laws of the self-motion of their own; use --controller eos or eos-limited",
+    ),
+    Rule(
+        ("chart_margin", "metric"),
+        lambda s: s["controller"] in (*EOS, "impedance"),
+        "traditional controllers have no charts; use --controller eos, eos-limited or impedance",
+    ),
+    Rule(
+        ("stiffness", "self_motion_stiffness", "damping_ratio"),
+        lambda s: s["controller"] == "impedance",
+        "it belongs to --controller impedance",
     ),
     Rule(("v", "swing"), lambda s: s["self_motion"] == "hold", "v is commanded with --self-motion hold only"),
     Rule(

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 ControllerName = Literal[
     "eos",
     "eos-limited",
+    "impedance",
     "task-space",
     "task-space-energy",
     "null-space-damping",
@@ -141,8 +142,8 @@ class ControlOptions:
     """How it is controlled.
 
     Attributes:
-        controller: EOS computed torque, the same within joint and torque limits (sampled runs), or a traditional
-            controller to compare with.
+        controller: EOS computed torque, the same within joint and torque limits (sampled runs), impedance of task and
+            self-motion, or a traditional controller to compare with.
         self_motion: Objective of the self-motion: hold v, draw the joints to the start posture, damp, lower the kinetic
             energy, be left free, or follow a plan that is made first.
         v: Self-motion to hold, r numbers [rad or m]; by default where it is at the start.
@@ -151,6 +152,10 @@ class ControlOptions:
         kd: Gain on the task's velocity error [1/s].
         kp_self_motion: Gain on the self-motion error [1/s²].
         kd_self_motion: Gain on the self-motion's velocity error [1/s].
+        stiffness: Stiffness of an impedance: one number for each coordinate of the task, or one for each of its units,
+            lengths first [N/m, N m/rad]; by default 1000 N/m and 50 N m/rad.
+        self_motion_stiffness: Stiffness of the self-motion of an impedance, at the start posture [N m/rad].
+        damping_ratio: Damping ratio of an impedance.
         chart_margin: A chart is left where its margin falls to this, between 0 and 1.
         metric: Metric of the charts: that of the paper, or the mass matrix at their bases, which decouples task and
             self-motion inertially there.
@@ -167,6 +172,9 @@ class ControlOptions:
     kd: float = 20.0
     kp_self_motion: float = 100.0
     kd_self_motion: float = 20.0
+    stiffness: tuple[float, ...] = ()
+    self_motion_stiffness: float = 20.0
+    damping_ratio: float = 0.7
     chart_margin: float = 0.5
     metric: Literal["identity", "inertial"] = "identity"
     command: Literal["torque", "position", "velocity"] = "torque"
@@ -191,6 +199,7 @@ class ControlOptions:
         from eos_pin.control.limited import LimitedEosController
         from eos_pin.control.operational import BASELINES
         from eos_pin.control.tolerance import KeepTolerance
+        from eos_pin.experiments.softness import soft_controller
 
         if self.command != "torque":
             raise InputError(
@@ -199,6 +208,8 @@ class ControlOptions:
         if self.controller in BASELINES:
             return BASELINES[self.controller](task, reference, q)
         atlas = Atlas(task, threshold=self.chart_margin, metric=self.metric)
+        if self.controller == "impedance":
+            return soft_controller(self, task, reference, atlas)
         if law is None:
             law = self._law(task, reference, q)
             if task.bands:

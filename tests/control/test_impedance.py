@@ -32,6 +32,7 @@ from eos_pin.control.compliant.gains import damping_of
 from eos_pin.control.compliant.observer import MomentumObserver
 from eos_pin.control.compliant.projected import ProjectedImpedance
 from eos_pin.control.compliant.safety import yielded
+from eos_pin.experiments.options import ControlOptions
 
 TIP = "panda_hand_tcp"
 REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
@@ -367,3 +368,21 @@ def test_modes_with_additions_change_without_jump(pose: PoseTask) -> None:
         assert k % 200 != 100 or np.abs(tau - last).max() < 0.3, k
         last = tau
         q, dq = plant.advance(q, dq, tau + np.array([5.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]) * min(k / 50, 1.0), PERIOD)
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "diagonal"),
+    [
+        ("pose", (800.0, 30.0), [800.0] * 3 + [30.0] * 3),
+        ("pose", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]),
+        ("position", (700.0,), [700.0] * 3),
+        ("position", (), [1000.0] * 3),
+    ],
+)
+def test_options_make_an_impedance(panda: Robot, kind: str, given: tuple[float, ...], diagonal: list[float]) -> None:
+    task = TASKS[kind](panda, TIP)
+    options = ControlOptions(controller="impedance", stiffness=given, self_motion_stiffness=7.0)
+    controller = options.make(task, task.hold(REST), REST, 1e-3)
+    assert isinstance(controller, ImpedanceController)
+    np.testing.assert_array_equal(np.diag(controller.gains.stiffness), diagonal)
+    np.testing.assert_array_equal(np.diag(controller.gains.self_motion_stiffness), 7.0)

@@ -90,15 +90,15 @@ class Additions:
                 observed = self.observer.start(t, q, dq)
             else:
                 observed = self.observer.update(t, q, dq, observed, last.tau)
-        now = last._replace(t=t, dq=self.safety.filtered(past, last.dq, dq), observed=observed)
+        now = last._replace(t=t, dq=self.safety._filtered(past, last.dq, dq), observed=observed)
         if self.goal is not None and (force := self.external_force(t, A, now)) is not None:
             # The robot exerts the opposite of the force that acts on it.
-            integral = self.goal.integrated(integral, -force, past, self.task)
+            integral = self.goal._integrated(integral, -force, past, self.task)
         return now._replace(integral=integral)
 
     def velocity(self, t: float, dq: JointVector, sampled: Sampled) -> JointVector:
         """Joint velocities for the damping."""
-        return self.safety.filtered(t - sampled.t, sampled.dq, dq) if t > sampled.t else sampled.dq
+        return self.safety._filtered(t - sampled.t, sampled.dq, dq) if t > sampled.t else sampled.dq
 
     def external_force(self, t: float, A: Array, sampled: Sampled) -> Vector | None:
         """Force of the environment on z, (m,) [N, N m], measured or else observed; None where it is not known."""
@@ -124,9 +124,9 @@ class Additions:
         if self.compensate and (force := self.external_force(t, A, sampled)) is not None:
             found["compensation of external forces"] = -force.dot(A[:m])
         if self.goal is not None:
-            found["wanted forces"] = (self.goal.wanted(self.task) + sampled.integral).dot(A[:m])
+            found["wanted forces"] = (self.goal._wanted(self.task) + sampled.integral).dot(A[:m])
         if self.safety.limit_stiffness:
-            away = self.safety.limit_torque(self.task.robot, q)
+            away = self.safety._limit_torque(self.task.robot, q)
             if away is not None and (Q := pulled_back(A, away)) is not None:
                 found["joint limits"] = Q[m:].dot(A[m:])
         return found

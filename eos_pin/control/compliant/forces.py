@@ -37,7 +37,7 @@ class ForceGoal:
             self, "forces", {str(key): number(f, f"the force along {key}") for key, f in self.forces.items()}
         )
 
-    def check(self, task: Task) -> None:
+    def _check(self, task: Task) -> None:
         """Refuse a task that lacks one of the coordinates.
 
         Raises:
@@ -47,17 +47,17 @@ class ForceGoal:
             if label not in task.labels:
                 raise UnknownNameError("coordinate of the task", label, task.labels)
 
-    def rows(self, task: Task) -> list[int]:
+    def _rows(self, task: Task) -> list[int]:
         """Numbers of the coordinates."""
         return [task.labels.index(label) for label in self.forces]
 
-    def wanted(self, task: Task) -> TaskVector:
+    def _wanted(self, task: Task) -> TaskVector:
         """Force that is wanted, zero along the other coordinates."""
         force = np.zeros(task.m)
-        force[self.rows(task)] = list(self.forces.values())
+        force[self._rows(task)] = list(self.forces.values())
         return force
 
-    def integrated(self, integral: Vector, exerted: Vector, past: float, task: Task) -> Vector:
+    def _integrated(self, integral: Vector, exerted: Vector, past: float, task: Task) -> Vector:
         """The integral after some time.
 
         Args:
@@ -66,7 +66,7 @@ class ForceGoal:
             past: Time [s].
             task: The task.
         """
-        wanted, rows = self.wanted(task), self.rows(task)
+        wanted, rows = self._wanted(task), self._rows(task)
         found = integral.copy()
         bound = self.most * np.maximum(np.abs(wanted[rows]), 1.0)
         found[rows] = np.clip(found[rows] + self.rate * past * (wanted - exerted)[rows], -bound, bound)

@@ -188,8 +188,8 @@ class ImpedanceController(Controller):
         """Rows of the task along which a force is wanted."""
         if axes == "tool":
             raise InputError("forces are wanted along the axes of the world; give axes='world' with them")
-        force.check(self.task)
-        return force.rows(self.task)
+        force._check(self.task)
+        return force._rows(self.task)
 
     # -- modes -------------------------------------------------------------------------------------------------------
 

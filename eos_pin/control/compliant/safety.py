@@ -42,7 +42,7 @@ class Safety:
         if self.friction is not None and not callable(getattr(self.friction, "torque", None)):
             raise InputError(f"the friction must be an object with torque(dq), such as Friction, got {self.friction!r}")
 
-    def filtered(self, past: float, before: JointVector, dq: JointVector) -> JointVector:
+    def _filtered(self, past: float, before: JointVector, dq: JointVector) -> JointVector:
         """Velocities from those before and the measured ones.
 
         Args:
@@ -54,7 +54,7 @@ class Safety:
             return dq
         return before + (1.0 - math.exp(-math.tau * self.velocity_cutoff * past)) * (dq - before)
 
-    def limit_torque(self, robot: Robot, q: JointVector) -> JointVector | None:
+    def _limit_torque(self, robot: Robot, q: JointVector) -> JointVector | None:
         """Torque −∂u/∂q of springs in the zone of the joint limits; None where all joints are clear of it."""
         inside = np.maximum(robot.lower + self.limit_zone - q, 0.0) - np.maximum(q - robot.upper + self.limit_zone, 0.0)
         return self.limit_stiffness * inside if inside.any() else None
