@@ -92,7 +92,7 @@ def settled(controller: Impedance, q: np.ndarray, force: TaskForce, duration: fl
     # The chart that the law is on, where it has one.
     chart = controller.chart(loop.state) or Chart.from_base(task, begin)
     z, J = task.linearize(x)
-    Q = np.linalg.solve(np.vstack((J, chart.Vt)).T, force.torque(duration, x))
+    Q = np.linalg.solve(np.vstack((J, chart.Wt)).T, force.torque(duration, x))
     m, K = task.m, controller.gains.stiffness
     moved = task.minus(z, task.value(begin))
     return Settled(moved, np.linalg.solve(K, Q[:m]), chart.v(x), Q[m:], float(abs(dx).max()))

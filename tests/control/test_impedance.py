@@ -117,7 +117,7 @@ def test_push_at_elbow_moves_tool_by_its_share_only(pose: PoseTask) -> None:
     push = TaskForce(elbow, lambda t: 20.0 * way / np.linalg.norm(way))
     q, state = settled(controller, REST, lambda q: push.torque(0.0, q))
     z, J = pose.linearize(q)
-    Q = np.linalg.solve(np.vstack((J, state.chart.Vt)).T, push.torque(0.0, q))
+    Q = np.linalg.solve(np.vstack((J, state.chart.Wt)).T, push.torque(0.0, q))
     moved = pose.minus(z, pose.value(REST))
     np.testing.assert_allclose(moved, Q[:6] / np.r_[[1e3] * 3, [50.0] * 3], rtol=0.02, atol=1e-6)
     np.testing.assert_allclose(state.chart.v(q), Q[6:] / 20.0, rtol=1e-6)
