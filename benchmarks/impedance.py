@@ -14,6 +14,7 @@ import numpy as np
 from chains import cpu
 
 from eos_pin import (
+    Atlas,
     ControlLoop,
     EosController,
     ImpedanceController,
@@ -107,7 +108,8 @@ class ElbowForce(TaskForce):
 
 def elbow_stiffness(controller: Impedance, q: np.ndarray, push: float = 0.5) -> float:
     """Stiffness d(Wᵀτ)/dv of the elbow: twice a small force on v alone, over the way between both."""
-    W = Chart.from_base(controller.task, q).V[:, 0]
+    chart = controller.chart(controller.start(0.0, q, 0.0 * q)) or Chart.from_base(controller.task, q)
+    W = chart.W[:, 0]
     ends = [settled(controller, q, ElbowForce(controller.task, held(s * push * W))) for s in (1.0, -1.0)]
     return 2.0 * push / float(ends[0].v[0] - ends[1].v[0])
 
@@ -120,6 +122,9 @@ def laws(task: PoseTask, q: np.ndarray) -> dict[str, Impedance]:
             task, hold, stiffness=STIFFNESS, self_motion_stiffness=ELBOW_STIFFNESS, damping_ratio=0.7
         )
     }
+    found["the same, inertial charts"] = ImpedanceController(
+        task, hold, stiffness=STIFFNESS, self_motion_stiffness=ELBOW_STIFFNESS, atlas=Atlas(task, metric="inertial")
+    )
     # Stiffer near the base, as arms are; scaled to the stiffness of the elbow along the self-motion at q.
     shape = np.array([1.5, 1.5, 1.5, 1.5, 0.5, 0.5, 0.5])
     way = Chart.from_base(task, q).V[:, 0]
@@ -164,14 +169,14 @@ def main() -> None:
     task = PoseTask(robot, TOOL)
     chosen = [REST, *postures(robot, task, arguments.postures - 1)]
     print(f"A push of {PUSH:g} N at {ELBOW} along its self-motion, the tool held by {STIFFNESS}, MuJoCo at 1 kHz")
-    print(f"{'posture':8}{'law':24}{'tool [mm]':>11}{'[mrad]':>9}{'off K⁻¹Q':>10}{'elbow [N m/rad]':>17}{'set':>7}")
+    print(f"{'posture':8}{'law':26}{'tool [mm]':>11}{'[mrad]':>9}{'off K⁻¹Q':>10}{'elbow [N m/rad]':>17}{'set':>7}")
     for k, q in enumerate(chosen):
         for name, law in laws(task, q).items():
             at = settled(law, q, elbow_push(task, q))
             off = np.abs(at.moved - at.foreseen).max() / np.abs(at.moved).max()
             stiffness = elbow_stiffness(law, q)
             print(
-                f"{k:<8}{name:24}{1e3 * np.linalg.norm(at.moved[:3]):11.3f}{1e3 * np.linalg.norm(at.moved[3:]):9.2f}"
+                f"{k:<8}{name:26}{1e3 * np.linalg.norm(at.moved[:3]):11.3f}{1e3 * np.linalg.norm(at.moved[3:]):9.2f}"
                 f"{off:10.2%}{stiffness:17.4f}{ELBOW_STIFFNESS:7g}"
             )
     print(f"\nA push of {PUSH:g} N at the tool along x, y, z: stiffness of the task [N/m] (set: {STIFFNESS['m']:g})")
@@ -181,7 +186,7 @@ def main() -> None:
             for force in PUSH * np.eye(6)[:3]:
                 at = settled(law, q, TaskForce(task, held(force)))
                 found.append(PUSH / float(at.moved @ force / PUSH))
-            print(f"{k:<8}{name:24}" + "".join(f"{value:11.2f}" for value in found))
+            print(f"{k:<8}{name:26}" + "".join(f"{value:11.2f}" for value in found))
 
 
 if __name__ == "__main__":
