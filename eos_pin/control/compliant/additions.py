@@ -38,7 +38,7 @@ class Sampled(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Additions:
-    """What is added to the law of a mode.
+    """Additions to the law of a mode.
 
     Attributes:
         task: The task.
