@@ -185,8 +185,9 @@ def _compile(mujoco: ModuleType, robot: pin.Model, more: Callable[[Any, list[Any
         more(spec, bodies)
     model = spec.compile()
     # Its compiler refuses point masses, bodies without mass, and inertias that no real body has; its dynamics does not.
-    of_robot, (masses, moments) = slice(len(inertias)), zip(*inertias, strict=True)
-    model.body_mass[of_robot], model.body_inertia[of_robot] = masses, moments
+    of_robot = slice(len(inertias))
+    model.body_mass[of_robot] = [mass for mass, _ in inertias]
+    model.body_inertia[of_robot] = [moments for _, moments in inertias]
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 

@@ -314,6 +314,7 @@ class ImpedanceController(Controller):
         sampled = self.additions.advance(t, q, dq, state.laws[-1].frame(J), sampled)
         state = state._replace(sampled=sampled)
         tau, added = self._torques(t, q, dq, state, z, J)
+        assert added is not None
         return tau, state._replace(sampled=sampled._replace(added=added, tau=tau))
 
     def validity(self, t: float, q: JointVector, dq: JointVector, state: ImpedanceState) -> float:

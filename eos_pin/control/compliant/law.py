@@ -166,7 +166,8 @@ class ImpedanceLaw:
             J: Jacobian at q.
         """
         if self.at_rest is not None:
-            away = self._q_d - q if self._way is None else self._way(q, self._q_d)
+            q_d: JointVector = self._q_d  # type: ignore[assignment]
+            away = q_d - q if self._way is None else self._way(q, q_d)
             return self.at_rest(dq, z, J, away)
         A = self._A
         self._G[:] = J
