@@ -16,7 +16,17 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, JointVector, SelfMotionVector, Vector, VectorLike, checked, frozen_copy, vector
+from eos_pin._arrays import (
+    Array,
+    JointVector,
+    SelfMotionVector,
+    Vector,
+    VectorLike,
+    by_value,
+    checked,
+    frozen_copy,
+    vector,
+)
 from eos_pin.charts._basis import null_space
 from eos_pin.errors import InputError
 from eos_pin.planning.manifolds.arcs import Arc
@@ -39,6 +49,7 @@ MOST_STEPS, LONGEST = 200, 0.2
 SAME = 1e-5
 
 
+@by_value
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
     """A posture in which gravity leaves the self-motion at rest while the task is held.
