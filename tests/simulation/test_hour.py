@@ -1,6 +1,6 @@
 """An hour of panda at 1 kHz with noise, delay and a model that is 20 % off; a minute of it wherever tests run.
 
-    python -m pytest -m hour -s tests/test_hour.py
+    python -m pytest -m hour -s tests/simulation/test_hour.py
 
 takes a quarter of an hour or less and prints what it found.
 """
