@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import functools
+import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NoReturn, TypeVar, cast
 
@@ -53,6 +54,23 @@ class UnknownNameError(InputError, KeyError):
 
     def __reduce__(self) -> tuple[object, ...]:
         return _rebuild, (type(self), self.args, self.__dict__)
+
+
+def refuse_unused(of: Callable[..., Any], reason: str, **given: Any) -> None:
+    """Refuse arguments that would change nothing.
+
+    Args:
+        of: Function or class whose arguments they are.
+        reason: Why they would not, and what to do.
+        given: Their values by name.
+
+    Raises:
+        InputError: One is not at its default.
+    """
+    for name, value in given.items():
+        default = inspect.signature(of).parameters[name].default
+        if value is not default and (default is None or value != default):
+            raise InputError(f"{name}={value!r} does not apply: {reason}")
 
 
 class MissingDependencyError(EosError, ImportError):

@@ -33,7 +33,7 @@ from eos_pin.charts.chart import Chart
 from eos_pin.charts.metric import MetricLike, checked_metric, metric_name
 from eos_pin.charts.search import Search
 from eos_pin.charts.solutions import STRATEGIES, IkSolution, JointPath, Strategy
-from eos_pin.errors import InputError, InverseError, Renamed, SingularError
+from eos_pin.errors import InputError, InverseError, Renamed, SingularError, refuse_unused
 from eos_pin.robot.postures import JointsLike
 from eos_pin.tasks.base import Point, PointLike, Task
 
@@ -204,7 +204,7 @@ class Atlas(Checked):
             tol: Largest task error that may be left [m, rad].
 
         Raises:
-            InputError: Wrong shapes, or an unknown strategy.
+            InputError: Wrong shapes, an unknown strategy, or an argument that none of the strategies uses.
         """
         q, z = self.task.robot.posture(q), self.task.point(z)
         if strategies is None:
@@ -214,6 +214,14 @@ class Atlas(Checked):
         if not strategies or not set(strategies) <= set(STRATEGIES):
             raise InputError(f"strategies must be some of {', '.join(STRATEGIES)}, got {strategies!r}")
         v = None if v is None else vector(v, q.size - self.task.m, "v")
+        if set(strategies) == {"search"}:
+            reason = "a search tells no motion and keeps no v; name another strategy as well"
+            refuse_unused(Atlas.solve, reason, v=v, chart=chart, points=points)
+        if "search" not in strategies:
+            refuse_unused(Atlas.solve, "nothing is searched for; name the strategy 'search'", tries=tries)
+            if "via" not in strategies:
+                reason = "continuation alone takes no other postures; name another strategy as well"
+                refuse_unused(Atlas.solve, reason, seed=seed)
         if points < 1 or tries < 0:
             raise InputError(f"points must be at least 1 and tries at least 0, got {points} and {tries}")
         return Search(self.task, self.follow, self.start, q, z, v, chart, points, tries, seed, tol).best(strategies)

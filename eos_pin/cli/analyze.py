@@ -51,6 +51,8 @@ def analyze(
         raise InputError(f"whose joints are in {log}? Add --robot NAME, or the path of its URDF")
     if task.q0:
         raise InputError("--q0 does not apply: the log has the joints")
+    if task.tolerance:
+        raise InputError("--tolerance does not apply: every coordinate of the task counts here; leave it out")
     output.without("seed", reason="nothing is random here")
     if output.view:
         raise InputError("--view does not apply: the run is over; its replay is --html FILE")
@@ -61,7 +63,9 @@ def analyze(
     machine = robot.load()
     say_notes(machine)
     frame = str(machine.options.get("chain_to", ""))
-    goal = make_task(machine, task.task, frame=frame, axes=task.axes, tool_axis=task.tool_axis)
+    goal = make_task(
+        machine, task.task, frame=frame, axes=task.axes, tool_axis=task.tool_axis, point=task.point or None
+    )
     read = read_joint_log(log, machine, joints=joints, degrees=degrees, topic=topic)
     say_notes(read)
     result = analyzed(goal, read.t, read.q, dq=read.dq, period=period, source=str(log))

@@ -36,6 +36,15 @@ from eos_pin.tasks.base import Task, TaskPoint
 from eos_pin.trajectories.base import Target, Trajectory
 
 
+def law_for(task: Task, given: Objective | None) -> Objective:
+    """Law of the self-motion beside a task, `Track()` by default; where r = 0 another one is refused."""
+    law = given or Track()
+    if task.m == task.robot.n and not isinstance(law, Track):
+        kind = type(law).__name__
+        raise InputError(f"self_motion={kind} does not apply: the task takes all joints (r = 0); leave it out")
+    return law
+
+
 class EosController(TaskController):
     """Computed torque in extended operational space: task and self-motion on laws of their own.
 
@@ -83,7 +92,7 @@ class EosController(TaskController):
         self._rest, self._unchanged = frozen_copy(np.zeros(task.m)), frozen_copy(np.zeros(task.robot.n))
         self._turns = task.robot.turns
         self._renewed: tuple[Any, Any] = (None, None)
-        self.self_motion = self_motion or Track()
+        self.self_motion = law_for(task, self_motion)
         self.atlas = atlas or Atlas(task)
 
     def __init_subclass__(cls, **rest: Any) -> None:

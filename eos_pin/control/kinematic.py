@@ -29,8 +29,9 @@ from eos_pin.control._regularize import AccelerationMap
 from eos_pin.control._sampled_law import SelfTargets, decay
 from eos_pin.control._smallest_change import SmallestChange
 from eos_pin.control._velocity_box import VelocityBox, compiled_step, part_within
+from eos_pin.control.eos import law_for
 from eos_pin.control.limited import JointLimits
-from eos_pin.control.objectives import Objective, Track
+from eos_pin.control.objectives import Objective
 from eos_pin.control.state import EosState, KinematicState
 from eos_pin.errors import InputError, SingularError, StateError
 from eos_pin.tasks.base import Point, Task
@@ -137,7 +138,7 @@ class KinematicLoop:
         self.limits: JointLimits
         self.kp: TaskVector
         self.kd: TaskVector
-        self.reference, self.self_motion = reference, self_motion or Track()
+        self.reference, self.self_motion = reference, law_for(task, self_motion)
         self.kp, self.kd = kp, kd  # type: ignore[assignment]
         self.limits = limits or JointLimits.without_torques(task.robot)
         self.reset()

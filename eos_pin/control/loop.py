@@ -24,7 +24,7 @@ from eos_pin._arrays import (
 from eos_pin._kernels.dispatch import use_compiled
 from eos_pin.control._sampled_law import MiddleOfPeriod
 from eos_pin.control.base import Controller, agreed_period
-from eos_pin.errors import InputError, Renamed, StateError
+from eos_pin.errors import InputError, Renamed, StateError, refuse_unused
 
 #: A move of a continuous joint from one state to the next beyond which it is looked at whether its angle was wrapped
 #: [rad].
@@ -88,15 +88,16 @@ class ControlLoop:
         centred: bool = False,
     ) -> None:
         self._middle: MiddleOfPeriod | None = None
-        self._centred = centred
-        self.state: Any = None
         self._watch: StateMonitor | None
         self._before: StateMonitor | None
         self.saturated = self.slowed = False
         self._jump = math.inf if jump == math.inf else number(jump, "the largest jump", above=0.0)
-        self._given, self._period = (torque_limits, torque_rate, first_torque), control_period
+        self._given = torque_limits, torque_rate, first_torque
+        self._period, self._centred = control_period, centred
         soft_start = number(soft_start, "the time of a soft start", at_least=0.0)
         self._ramp = None if torque_rate is None and not soft_start else Ramp(soft_start)
+        if self._ramp is None:
+            refuse_unused(ControlLoop, "there is no ramp; add soft_start or torque_rate", first_torque=first_torque)
         self._fit(controller)
         self.reset()
 
@@ -167,7 +168,7 @@ class ControlLoop:
 
     def reset(self) -> None:
         """Forget the chart, the last state and the last torque; the next step starts a run."""
-        self.state = None
+        self.state: Any = None
         self._watch = None
         #: The watch until now, where another controller takes over at the next step.
         self._before = None

@@ -371,7 +371,7 @@ class RunOptions:
             torque_limits=self.torque_limits,
             torque_rate=self.torque_rate,
             soft_start=self.soft_start,
-            seed=seed,
+            seed=seed if self.noise or self.dropout else 0,
             observer=observer,
         )
         return uninterrupted(result)

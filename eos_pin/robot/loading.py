@@ -24,7 +24,7 @@ from eos_pin._arrays import (
     number,
     vector,
 )
-from eos_pin.errors import InputError, RobotError, UnknownNameError
+from eos_pin.errors import InputError, RobotError, UnknownNameError, refuse_unused
 from eos_pin.robot._coordinates import coordinates_of
 from eos_pin.robot._parts import default_frame_of, find_frame, leaves_of, locked_at
 from eos_pin.robot.coupled import CoupledRobot
@@ -229,6 +229,8 @@ def _is_mjcf(source: Source) -> bool:
 def _read_mjcf(source: Source, lock: Lock, chain_to: str, end: str, folders: list[Path]) -> _Description:
     """Description by an MJCF file, likewise."""
     path = Path(os.path.abspath(os.path.expanduser(str(source))))
+    reason = "meshes of an MJCF file are not read; leave it out"
+    refuse_unused(load_robot, reason, package_dirs=tuple(map(str, folders)))
     model, sha256 = read_mjcf(path)
     if chain_to == "auto":
         chain_to = end = default_frame_of(model, {})

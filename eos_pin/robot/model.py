@@ -26,7 +26,7 @@ from eos_pin._arrays import (
     unchecked,
     vector,
 )
-from eos_pin.errors import InputError, RobotError
+from eos_pin.errors import InputError, RobotError, refuse_unused
 from eos_pin.robot._angles import Angles
 from eos_pin.robot._data import workspace
 from eos_pin.robot._one_degree import one_degree_model
@@ -366,8 +366,9 @@ class Robot(Angles):
             inertia: Largest relative error of each principal moment, before the triangle inequality is restored.
             seed: Seed of the errors.
         """
-        random = np.random.default_rng(seed)
-        model = self.model.copy()
+        if not (mass or com or inertia):
+            refuse_unused(self.perturbed, "no error is asked for; add mass, com or inertia", seed=seed)
+        random, model = np.random.default_rng(seed), self.model.copy()
         for i in range(1, model.njoints):
             body = model.inertias[i]
             if body.mass <= 0.0:

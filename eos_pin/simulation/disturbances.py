@@ -22,7 +22,7 @@ from eos_pin._arrays import (
     unchecked,
     vector_of,
 )
-from eos_pin.errors import InputError
+from eos_pin.errors import InputError, refuse_unused
 from eos_pin.tasks.base import Task
 
 
@@ -73,6 +73,8 @@ class Friction(Checked):
             if not (values >= 0.0).all():
                 raise InputError(f"{name} friction must be at least 0, got {values.tolist()}")
             object.__setattr__(self, name, values if values.size != 1 else float(values[0]))
+        if not np.any(self.coulomb):
+            refuse_unused(Friction, "there is no dry friction; add coulomb", speed=self.speed)
 
     @checked
     def torque(self, dq: JointVector) -> JointVector:

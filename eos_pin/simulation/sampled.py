@@ -16,7 +16,7 @@ from eos_pin._arrays import (
 )
 from eos_pin.control.base import Controller, agreed_period
 from eos_pin.control.loop import ControlLoop
-from eos_pin.errors import InputError, renamed
+from eos_pin.errors import InputError, refuse_unused, renamed
 from eos_pin.robot.model import Robot
 from eos_pin.robot.postures import JointsLike
 from eos_pin.simulation._recorder import Observer, Recorder, sample_times
@@ -94,6 +94,8 @@ def simulate_sampled(
         raise InputError(f"substeps must be a whole number of at least 1, got {substeps}")
     if not 0.0 <= number(dropout, "the dropout") < 1.0:
         raise InputError(f"the dropout must be a probability, at least 0 and below 1, got {dropout}")
+    if not noise and not dropout:
+        refuse_unused(simulate_sampled, "nothing is random; add noise or dropout", seed=seed)
     random = np.random.default_rng(seed)
     system = JointSystem(plant, controller, task_force, friction)
     system.begin(q, dq)

@@ -8,12 +8,34 @@ import inspect
 from dataclasses import fields
 from pathlib import Path
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 
-import eos_pin
-from eos_pin import Controller, Hold, InputError, PositionTask, StackedTask, Task, load_robot, simulate
+from eos_pin import (
+    Avoidance,
+    Clearance,
+    Controller,
+    ControlLoop,
+    Damp,
+    EosController,
+    Friction,
+    Hold,
+    InputError,
+    KinematicLoop,
+    LimitedEosController,
+    Obstacle,
+    PoseTask,
+    PositionTask,
+    StackedTask,
+    Task,
+    inverse_kinematics,
+    load_robot,
+    self_motion_manifold,
+    simulate,
+    simulate_sampled,
+)
 from eos_pin.cli.main import main
 from eos_pin.cli.output import console, run_table
 from eos_pin.experiments.applicability import RULES
@@ -23,7 +45,7 @@ from eos_pin.experiments.options import ControlOptions, PathOptions, RunOptions,
 pytestmark = pytest.mark.usefixtures("unchecked")
 
 #: Modules of commands that are not called like them.
-MODULES = {"compare": "track", "robots": "replay"}
+MODULES = {"compare": "track", "robots": "replay", "sweep": "many.sweep"}
 
 REFUSED = [
     ("track panda --path hold --size 0.1", "--size 0.1 does not apply: it belongs to the paths eight, circle and line"),
@@ -152,6 +174,7 @@ REFUSED = [
     ),
     ("plan panda --timing fastest --period 3", "--period 3 does not apply: --timing fastest finds the time"),
     ("plan panda --corners round --blend 0.1", "--corners round does not apply: it belongs to way points"),
+    ("plan panda --allow-winding", "allow_winding changes nothing here: it is for closed paths of robots"),
     ("plan panda --clearance 0.1", "--clearance 0.1 does not apply: there is nothing to be clear of"),
     ("plan panda --capsules c.json", "--capsules c.json does not apply"),
     ("plan panda --cost clearance", "needs a scene or self_collision"),
@@ -166,6 +189,47 @@ REFUSED = [
         for option in ("--csv a.csv", "--bag a", "--rerun a.rrd", "--html a.html", "--view")
     ),
     ("selfmotion panda --plot a.png", "does not apply: the figure has the potential along a curve"),
+    *(
+        (f"rehearse panda {option}", told)
+        for option, told in (
+            ("--seed 3", "--seed 3 does not apply: nothing is random"),
+            ("--command position --soft-start 0.5", "--soft-start and --torque-rate do not apply"),
+            ("--command position --torque-rate 9", "--soft-start and --torque-rate do not apply"),
+            ("--command position --controller task-space", "--controller task-space does not apply"),
+            ("--acceleration 3", "--acceleration 3.0 does not apply: torques are commanded"),
+            ("--path hold --size 0.1", "--size 0.1 does not apply"),
+            ("--path hold --plane yz", "--plane yz does not apply"),
+            ("--path hold --period 5", "--period 5.0 does not apply"),
+            ("--path hold --corners round", "--corners round does not apply"),
+            ("--path some.csv --blend 0.1", "--blend 0.1 does not apply"),
+            ("--controller set-point --metric inertial", "--metric inertial does not apply"),
+            ("--cycles 5 --duration 9", "--cycles 5 does not apply"),
+            ("--self-motion damp --swing 0.1", "--swing 0.1 does not apply"),
+            ("--self-motion damp --v 0.1 0 0 0", "--v 0.1 0.0 0.0 0.0 does not apply"),
+            ("--self-motion damp --kp-self-motion 9", "--kp-self-motion 9.0 does not apply"),
+            ("--self-motion free --kd-self-motion 9", "--kd-self-motion 9.0 does not apply"),
+            ("--controller set-point --kp 50", "--kp 50.0 does not apply"),
+            ("--controller set-point --kd 50", "--kd 50.0 does not apply"),
+            ("--controller set-point --chart-margin 0.6", "--chart-margin 0.6 does not apply"),
+            ("--task pose --axes xy", "axes 'xy' do not apply"),
+            ("--tool-axis x", "a tool axis, 'x', does not apply"),
+            ("--point 1 0 0", "a point of the world is for the tasks look-at and distance"),
+            ("--tolerance rz=0.2", "leave out --tolerance here"),
+        )
+    ),
+    *(
+        (f"analyze log.csv --robot panda {option}", told)
+        for option, told in (
+            ("--q0 1", "--q0 does not apply: the log has the joints"),
+            ("--seed 3", "--seed 3 does not apply: nothing is random"),
+            ("--view", "--view does not apply: the run is over"),
+            ("--tolerance rz=0.2", "--tolerance does not apply: every coordinate of the task counts"),
+            ("--task pose --axes xy", "axes 'xy' do not apply"),
+            ("--tool-axis x", "a tool axis, 'x', does not apply"),
+            ("--point 1 0 0", "a point of the world is for the tasks look-at and distance"),
+            ("--topic /joint_states", "topic '/joint_states' does not apply: log.csv is no bag"),
+        )
+    ),
     ("info panda --bag a.bag", "--bag a.bag does not apply"),
     ("info panda --rerun a.rrd", "--rerun a.rrd does not apply"),
 ]
@@ -189,6 +253,9 @@ ALWAYS = {
     "demo": "robot html",
     "explore": f"{ROBOT} task q0 html",
     "selfmotion": f"{ROBOT} task q0 at out json plot seed",
+    "rehearse": f"{ROBOT} q0 task path duration controller command control_rate speed watchdog priority model_error "
+    "self_motion log json",
+    "analyze": f"log {ROBOT} task period joints degrees {FILES}",
 }
 
 
@@ -242,6 +309,66 @@ def test_path_that_holds_still_takes_no_shape(panda, option) -> None:
         fitting_path(task, rest_posture(task), shape="hold", **option)
 
 
+#: Arguments of Python that nothing would use, and the reason that is told.
+UNUSED = {
+    "speed=0.2 does not apply: there is no dry friction": lambda robot, task, q: Friction(1.0, speed=0.2),
+    "seed=3 does not apply: no error is asked for": lambda robot, task, q: robot.perturbed(seed=3),
+    "seed=3 does not apply: nothing is random": lambda robot, task, q: simulate_sampled(
+        robot, EosController(task, task.hold(q)), q, duration=0.01, seed=3
+    ),
+    "first_torque=.* does not apply: there is no ramp": lambda robot, task, q: ControlLoop(
+        EosController(task, task.hold(q)), first_torque=np.zeros(robot.n)
+    ),
+    "pull=0.3 does not apply: there is no posture": lambda robot, task, q: Avoidance(
+        Clearance(robot, [Obstacle(coal.Sphere(0.1), [0.9, 0.0, 0.9])]), pull=0.3
+    ),
+    "points=3 does not apply: a search tells no motion": lambda robot, task, q: inverse_kinematics(
+        task, task.value(q), q, strategies=["search"], points=3
+    ),
+    "v=.* does not apply: a search": lambda robot, task, q: inverse_kinematics(
+        task, task.value(q), q, strategies=["search"], v=np.zeros(robot.n - task.m)
+    ),
+    "tries=3 does not apply: nothing is searched for": lambda robot, task, q: inverse_kinematics(
+        task, task.value(q), q, strategies=["via"], tries=3
+    ),
+    "seed=3 does not apply: continuation alone": lambda robot, task, q: inverse_kinematics(
+        task, task.value(q), q, strategies=["continuation"], seed=3
+    ),
+    "step=0.2 does not apply: more than one joint is redundant": lambda robot, task, q: self_motion_manifold(
+        task, task.value(q), step=0.2
+    ),
+    "resolution=0.2 does not apply: one joint is redundant": lambda robot, task, q: self_motion_manifold(
+        PoseTask(robot, "panda_hand_tcp"), PoseTask(robot, "panda_hand_tcp").value(q), resolution=0.2
+    ),
+}
+
+
+@pytest.mark.parametrize("told", UNUSED)
+def test_argument_that_changes_nothing_is_refused(panda, told: str) -> None:
+    task = PositionTask(panda, "panda_hand_tcp")
+    with pytest.raises(InputError, match=told):
+        UNUSED[told](panda, task, rest_posture(task))
+
+
+def test_law_of_self_motion_is_refused_where_the_task_takes_all_joints(ur5) -> None:
+    task = make_task(ur5, "pose")
+    hold = task.hold(rest_posture(task))
+    for make in (
+        lambda: EosController(task, hold, Damp()),
+        lambda: LimitedEosController(task, hold, Damp()),
+        lambda: KinematicLoop(task, hold, Damp(), control_period=1e-2),
+    ):
+        with pytest.raises(InputError, match=r"self_motion=Damp does not apply: the task takes all joints \(r = 0\)"):
+            make()
+
+
+def test_folders_of_meshes_are_refused_for_a_file_that_has_none_read(tmp_path: Path) -> None:
+    file = tmp_path / "arm.xml"
+    file.write_text("<mujoco/>")
+    with pytest.raises(InputError, match=r"package_dirs=.* does not apply: meshes of an MJCF file are not read"):
+        load_robot(file, package_dirs=[tmp_path])
+
+
 def test_planar_pose_has_axes(ppr) -> None:
     assert make_task(ppr, "pose", axes="x").m == 2
 
@@ -249,7 +376,7 @@ def test_planar_pose_has_axes(ppr) -> None:
 def test_task_of_all_joints_is_told(ur5) -> None:
     task = make_task(ur5, "pose")
     q = rest_posture(task)
-    run = simulate(ur5, eos_pin.EosController(task, Hold(task.value(q), task.m)), q, duration=0.05)
+    run = simulate(ur5, EosController(task, Hold(task.value(q), task.m)), q, duration=0.05)
     with console.capture() as capture:
         console.print(run_table(run.summary()))
     assert "(r = 0)" in capture.get()

@@ -304,7 +304,7 @@ def test_noise_is_reproducible_and_acts(panda):
     noise = SensorNoise(q=1e-4, dq=1e-3)
     np.testing.assert_array_equal(run(1, noise).q, run(1, noise).q)
     assert np.abs(run(1, noise).q - run(2, noise).q).max() > 1e-7
-    assert np.abs(run(1, None).error).max() < 1e-12
+    assert np.abs(run(0, None).error).max() < 1e-12
     assert 1e-6 < np.abs(run(1, noise).error).max() < 1e-2
 
 

@@ -90,7 +90,7 @@ class BenchTrial(Trial):
             friction=Friction(viscous=friction * inertia, coulomb=friction * inertia) if friction else None,
             task_force=_push(robot, setting.push, self.seed) if setting.push else None,
             torque_limits=setting.saturation * _most_torque(self.robot.robot) if setting.saturation else False,
-            seed=self.seed,
+            seed=self.seed if noise else 0,
             observer=observer,
         )
 

@@ -24,7 +24,7 @@ from eos_pin._arrays import (
     vector,
 )
 from eos_pin._kernels.kinematics import Kinematics
-from eos_pin.errors import InputError, SingularError
+from eos_pin.errors import InputError, SingularError, refuse_unused
 from eos_pin.planning.manifolds.arcs import Arc, arc_joints, arcs_within, clear_arcs
 from eos_pin.planning.manifolds.components import Component
 from eos_pin.planning.manifolds.covering import Covering, covering
@@ -242,7 +242,8 @@ def self_motion_manifold(
         most: Most postures of a covering.
 
     Raises:
-        InputError: Wrong shapes, limits without room, or a robot without redundancy for the task.
+        InputError: Wrong shapes, limits without room, a robot without redundancy for the task, or an argument that
+            is for another redundancy.
     """
     robot, z = task.robot, task.point(z)
     if task.m >= robot.n:
@@ -261,6 +262,12 @@ def self_motion_manifold(
             "seeds, tries and most must be at least 1, step above 0 and at most 1, and resolution above 0; got "
             f"{seeds}, {tries}, {most}, {step} and {resolution}"
         )
+    if robot.n - task.m > 1:
+        reason = "more than one joint is redundant: postures cover the manifold, nothing is traced"
+        refuse_unused(self_motion_manifold, reason, step=step)
+    else:
+        reason = "one joint is redundant: components are traced whole, none is covered"
+        refuse_unused(self_motion_manifold, reason, resolution=resolution)
     given = np.reshape([vector(q, robot.n, "a start") for q in listed(starts, "starts")], (-1, robot.n))
     search = _Search(task, z, lower, upper, given, seed)
     if robot.n - task.m > 1:

@@ -21,7 +21,7 @@ from eos_pin._arrays import (
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.charts.solutions import JointPath
-from eos_pin.errors import InputError, Renamed, SingularError, renamed
+from eos_pin.errors import InputError, Renamed, SingularError, refuse_unused, renamed
 from eos_pin.planning.obstacles.clearance import Clearance
 from eos_pin.robot.postures import JointsLike
 from eos_pin.tasks.base import Point
@@ -65,7 +65,9 @@ class Avoidance:
         for name in ("influence_distance", "room", "damping", "longest"):
             number(getattr(self, name), name, above=0.0)
         number(self.pull, "pull", at_least=0.0)
-        if self.posture is not None:
+        if self.posture is None:
+            refuse_unused(Avoidance, "there is no posture to pull to; add posture", pull=self.pull)
+        else:
             object.__setattr__(self, "posture", frozen_copy(self.clearance.robot.posture(self.posture, "the posture")))
 
     @checked
