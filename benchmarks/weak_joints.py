@@ -124,13 +124,25 @@ class Judge:
         order: Order in which joints are kept.
         q: Joints.
         dq: Joint velocities.
+        ddq: Accelerations over the period, on average, with the torques that were held.
+        tau: These torques.
     """
 
-    def __init__(self, robot: Robot, limits: JointLimits, order: Sequence[int], q: np.ndarray, dq: np.ndarray) -> None:
-        M, torque = robot.mass(q), limits.torque
+    def __init__(
+        self,
+        robot: Robot,
+        limits: JointLimits,
+        order: Sequence[int],
+        q: np.ndarray,
+        dq: np.ndarray,
+        ddq: np.ndarray,
+        tau: np.ndarray,
+    ) -> None:
+        M, torque = robot.mass(q + 0.5 * PERIOD * dq), limits.torque
         self.n, self.order, self.inverse = robot.n, list(order), np.linalg.inv(M)
-        # Bounds of the accelerations that the torques alone give.
-        rest = self.inverse @ robot.bias(q, dq)
+        # Bounds of the accelerations that the torques alone give. Where joints spin, the motion that was measured tells
+        # far more of a period than the state that it begins in.
+        rest = self.inverse @ tau - ddq
         least, most = limits.accelerations(q, dq, PERIOD)
         self.least, self.most = least + rest, most + rest
         reach = np.abs(self.inverse) @ torque
@@ -250,7 +262,8 @@ def weak_one(seed: int) -> Outcome:
     b, rate = limits.braking, 100.0
     with np.errstate(invalid="ignore"):
         fast = np.abs(dq) > np.sqrt(2.0 * b * np.maximum(way, 0.0) + (b / rate) ** 2) - b / rate + 1e-4
-    judge = cache(lambda row: Judge(robot, limits, order, q[row], dq[row]))
+    # A sample has the torque that was held until then.
+    judge = cache(lambda row: Judge(robot, limits, order, q[row], dq[row], ddq[row], run.tau[row + 1]))
     verdicts: dict[int, str] = {}
     either = set()
     for begin, joint in zip(*np.nonzero(out & ~np.vstack((np.zeros(robot.n, dtype=bool), out[:-1]))), strict=True):

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import eos_pin
-from eos_pin._kernels.dispatch import kernels
+from eos_pin._kernels.dispatch import REFERENCES, kernels
 
 #: Identities: rounding. Multiply by the condition number of what is inverted (`exact`).
 EXACT = 1e-13
@@ -247,3 +247,9 @@ def random_state(robot, seed=0):
     random = np.random.default_rng(seed)
     lower, upper = np.clip(robot.lower, -np.pi, np.pi), np.clip(robot.upper, -np.pi, np.pi)
     return random.uniform(lower, upper), random.uniform(-1.0, 1.0, robot.n)
+
+
+def with_plain_limits(controller):
+    """A limited controller with the plain form of the kernel that keeps its limits."""
+    vars(controller)["_within"] = REFERENCES["Limits"](*controller._within.__reduce__()[1])
+    return controller

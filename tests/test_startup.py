@@ -27,6 +27,20 @@ def test_importing_the_package_imports_nothing_else():
     assert loaded("import eos_pin") == set()
 
 
+def test_each_kernel_may_be_imported_first():
+    code = """
+import importlib, os, sys
+import pinocchio, scipy.linalg
+for name in sys.argv[1:]:
+    if not os.fork():
+        importlib.import_module(name)
+        os._exit(0)
+    assert os.wait()[1] == 0, name
+"""
+    names = [f"eos_pin._kernels.{file.stem}" for file in (PACKAGE / "_kernels").glob("*.py") if file.stem != "__init__"]
+    subprocess.run([sys.executable, "-c", code, *names], check=True)
+
+
 def test_control_loop_needs_no_more_than_the_dynamics():
     code = """
 import numpy as np

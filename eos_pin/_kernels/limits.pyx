@@ -9,13 +9,11 @@ from eos_pin._kernels._common cimport as_plain, as_table, data, dot, empty, entr
 
 import numpy as np
 
-from eos_pin._kernels import dispatch, plain_parts
+from eos_pin._kernels import dispatch
 
 cnp.import_array()
 
 cdef int DONE = dispatch.DONE, UNDECIDED = dispatch.UNDECIDED, NO_ANSWER = dispatch.NO_ANSWER
-cdef double FAST = plain_parts.FAST
-cdef int TIMES = plain_parts.TIMES
 
 
 cdef class Limits:
@@ -26,12 +24,11 @@ cdef class Limits:
         rate, ends, fastest, braking, acceleration: As for `plain_parts.Viability`.
         torque: Largest torques, (n,).
         clear: How much more each joint may be accelerated where limits are not looked at more closely.
-        model: Robot whose dynamics count.
-        smallest: `SmallestChange`.
+        fast, times, met, model, smallest: As for `plain_parts.Limits`.
     """
 
-    cdef Py_ssize_t n
-    cdef double half, rate, clear
+    cdef Py_ssize_t n, times
+    cdef double half, rate, clear, fast, met
     cdef double *ends
     cdef double *fastest
     cdef double *braking
@@ -43,9 +40,10 @@ cdef class Limits:
     cdef object model, smallest
     cdef tuple made_from, kept
 
-    def __init__(self, period, rate, ends, fastest, braking, acceleration, torque, clear, model, smallest):
-        self.made_from = period, rate, ends, fastest, braking, acceleration, torque, clear, model, smallest
-        self.half, self.rate, self.clear, self.model, self.smallest = 0.5 * period, rate, clear, model, smallest
+    def __init__(self, period, rate, ends, fastest, braking, acceleration, torque, clear, fast, times, met, model, smallest):
+        self.made_from = period, rate, ends, fastest, braking, acceleration, torque, clear, fast, times, met, model, smallest
+        self.half, self.rate, self.clear, self.fast, self.times = 0.5 * period, rate, clear, fast, times
+        self.met, self.model, self.smallest = met, model, smallest
         self.n = n = len(torque)
         vectors = tuple(np.array(x, dtype=float) for x in (ends, fastest, braking, acceleration, torque))
         self.kept = *vectors, np.empty(n), np.empty(n), np.empty(n * n)
@@ -71,8 +69,9 @@ cdef class Limits:
         return min(max(ddq, self.least[i]), self.most[i])
 
     def __call__(self, joints, velocities, accelerations, J):
-        cdef Py_ssize_t n = self.n, i, j
-        cdef double up, down, part = 0.0, room = INFINITY, half = self.half, quarter = 0.5 * self.half * self.half
+        cdef Py_ssize_t n = self.n, i, j, k
+        cdef double up, down, part = 0.0, room = INFINITY, miss, off, linear
+        cdef bint tight
         cdef cnp.ndarray q = as_plain(joints, n), dq = as_plain(velocities, n), ddq = as_plain(accelerations, n)
         cdef cnp.ndarray tau = self.model._inverse_dynamics(q, dq, ddq)
         cdef cnp.ndarray change = empty(n)
@@ -84,48 +83,90 @@ cdef class Limits:
             data(change)[i] = 0.0
         if part < 1.0 and room > self.clear:
             return tau, change
-        cdef cnp.ndarray middle = empty(n), speed = empty(n), below = empty(2 * n), above = empty(2 * n)
-        cdef cnp.ndarray shift = empty(n), mean, more, M
+        cdef cnp.ndarray below = empty(2 * n), above = empty(2 * n), shift = empty(n)
+        cdef cnp.ndarray mean, more, M, asked, found, held, effort
         for i in range(n):
             data(shift)[i] = self.kept_to(i, data(ddq)[i])
-            data(speed)[i] = data(dq)[i] + half * data(shift)[i]
-            data(middle)[i] = data(q)[i] + half * data(dq)[i] + quarter * data(shift)[i]
-        M = self.model._mass(middle)
-        mean = self.accelerations(M, self.model._bias(middle, speed), tau)
-        if self.within(mean, tau, below, above):
+        at, speed = self.halfway(q, dq, shift, None)
+        M = self.model._mass(at)
+        mean = self.accelerations(M, self.model._bias(at, speed), tau)
+        # Once more, from where the torque leads to.
+        for i in range(n):
+            data(shift)[i] = self.kept_to(i, data(mean)[i])
+        at, speed = self.halfway(q, dq, shift, None)
+        more, asked = self.accelerations(M, self.model._inverse_dynamics(at, speed, mean), tau), empty(n)
+        for i in range(n):
+            data(mean)[i] += data(more)[i]
+            data(asked)[i] = self.kept_to(i, data(mean)[i])
+            # So that without a change the middle stays where it is, and the torque is continuous.
+            data(shift)[i] -= data(asked)[i]
+        found = self.predicted(q, dq, tau, mean, asked)
+        if self.within(found, tau, below, above):
             return tau, change
-        for i in range(n):
-            data(shift)[i] -= self.kept_to(i, data(mean)[i])
-        change = self.smallest(J, M, below, above)
-        cdef double fast = 0.0
-        part = 0.0
-        for i in range(n):
-            data(mean)[i] += data(change)[i]
-            fast = max(fast, self.rate * fabs(data(dq)[i]) / self.fastest[i] - FAST)
-            data(speed)[i] = data(dq)[i] + half * (data(mean)[i] + data(shift)[i])
-            data(middle)[i] = data(q)[i] + half * data(dq)[i] + quarter * (data(mean)[i] + data(shift)[i])
-        tau = self.model._inverse_dynamics(middle, speed, mean)
-        for i in range(n):
-            part = max(part, fabs(data(tau)[i]) / self.torque[i])
-        if part > 1.0 or fast > 0.0:
+        for k in range(self.times):
+            change, asked = self.smallest(J, M, below, above), empty(n)
             for i in range(n):
-                self.least[i], self.most[i] = min(self.least[i], data(mean)[i]), max(self.most[i], data(mean)[i])
-            M = self.model._mass(middle)
-            for _ in range(TIMES if fast > 0.0 else 1):
-                if fast > 0.0:
-                    more = self.held(q, dq, tau)
-                    for i in range(n):
-                        data(mean)[i] += min(fast, 1.0) * (data(more)[i] - data(mean)[i])
-                self.within(mean, tau, below, above)
-                more = self.smallest(J, M, below, above)
-                for i in range(n):
-                    data(mean)[i] += data(more)[i]
-                    data(change)[i] += data(more)[i]
-                    for j in range(n):
-                        data(tau)[i] += entry(M, i, j) * data(more)[j]
+                data(asked)[i] = data(mean)[i] + data(change)[i]
+            at, speed = self.halfway(q, dq, asked, shift)
+            held, effort = self.model._inverse_dynamics(at, speed, asked), empty(n)
+            found, miss, off, tight = self.predicted(q, dq, held, asked, asked), 0.0, 0.0, False
             for i in range(n):
-                data(tau)[i] = min(max(data(tau)[i], -self.torque[i]), self.torque[i])
-        return tau, change
+                # What is missed: of the accelerations that were to be, and of the torques that were to give them.
+                miss = max(miss, fabs(data(above)[i] + data(found)[i] - data(change)[i] - self.most[i]))
+                linear = 0.0
+                for j in range(n):
+                    linear += entry(M, i, j) * data(change)[j]
+                data(effort)[i] = self.torque[i] - data(above)[n + i] + linear
+                off = max(off, fabs(data(held)[i] - data(effort)[i]) / entry(M, i, i))
+                # Rounding aside.
+                tight |= max(fabs(data(effort)[i]), fabs(data(held)[i])) >= (1.0 - 1e-9) * self.torque[i]
+                data(asked)[i] = data(held)[i] - linear
+                data(found)[i] -= data(change)[i]
+            if miss < self.met and (off < self.met or not tight):
+                break
+            self.within(found, asked, below, above)
+        # A torque that is used up is used up to the last digit.
+        if tight:
+            held = effort
+        for i in range(n):
+            data(held)[i] = min(max(data(held)[i], -self.torque[i]), self.torque[i])
+        return held, change
+
+    cdef tuple halfway(self, cnp.ndarray q, cnp.ndarray dq, cnp.ndarray ddq, cnp.ndarray more):
+        """The state in the middle of the period."""
+        cdef Py_ssize_t i
+        cdef cnp.ndarray at = empty(self.n), speed = empty(self.n)
+        for i in range(self.n):
+            data(speed)[i] = data(dq)[i] + self.half * (data(ddq)[i] + (0.0 if more is None else data(more)[i]))
+            data(at)[i] = data(q)[i] + 0.5 * self.half * (data(dq)[i] + data(speed)[i])
+        return at, speed
+
+    cdef cnp.ndarray predicted(self, cnp.ndarray q, cnp.ndarray dq, cnp.ndarray tau, cnp.ndarray mean, cnp.ndarray ddq):
+        """Mean acceleration over a period: that of its middle, or of its whole motion where a joint is fast."""
+        cdef double fastest = 0.0, part
+        cdef cnp.ndarray found = empty(self.n), whole
+        cdef Py_ssize_t i
+        for i in range(self.n):
+            part = max(fabs(data(dq)[i]), fabs(data(dq)[i] + 2.0 * self.half * data(ddq)[i]))
+            fastest = max(fastest, self.rate * part / self.fastest[i])
+            data(found)[i] = data(mean)[i]
+        if fastest > self.fast:
+            whole, part = self.held(q, dq, tau), min(fastest - self.fast, 1.0)
+            for i in range(self.n):
+                data(found)[i] += part * (data(whole)[i] - data(found)[i])
+        return found
+
+    cdef cnp.ndarray accelerations(self, cnp.ndarray M, cnp.ndarray bias, cnp.ndarray tau):
+        """M⁻¹ (tau − bias)."""
+        cdef int n = self.n, one = 1, info = 0
+        cdef cnp.ndarray ddq = empty(n)
+        cdef Py_ssize_t i, j
+        for i in range(n):
+            data(ddq)[i] = data(tau)[i] - data(bias)[i]
+            for j in range(n):
+                self.factor[i * n + j] = entry(M, i, j)
+        dposv("U", &n, &one, self.factor, &n, data(ddq), &n, &info)
+        return ddq
 
     cdef cnp.ndarray held(self, cnp.ndarray q, cnp.ndarray dq, cnp.ndarray tau):
         """Mean acceleration over a period in which a torque is held, by a step of Nyström's method."""
@@ -141,18 +182,6 @@ cdef class Limits:
             for i in range(n):
                 data(mean)[i] += weight * data(last)[i]
         return mean
-
-    cdef cnp.ndarray accelerations(self, cnp.ndarray M, cnp.ndarray bias, cnp.ndarray tau):
-        """M⁻¹ (tau − bias)."""
-        cdef int n = self.n, one = 1, info = 0
-        cdef cnp.ndarray ddq = empty(n)
-        cdef Py_ssize_t i, j
-        for i in range(n):
-            data(ddq)[i] = data(tau)[i] - data(bias)[i]
-            for j in range(n):
-                self.factor[i * n + j] = entry(M, i, j)
-        dposv("U", &n, &one, self.factor, &n, data(ddq), &n, &info)
-        return ddq
 
     cdef bint within(self, cnp.ndarray mean, cnp.ndarray tau, cnp.ndarray below, cnp.ndarray above) noexcept:
         """Whether accelerations and torques are within their limits; how far off these are, below and above."""

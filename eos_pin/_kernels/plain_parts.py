@@ -17,10 +17,6 @@ from eos_pin._kernels.dispatch import DONE, NO_ANSWER, UNDECIDED
 #: Part of the way from the middle to each limit in which a posture is surely far from the limits; part of the
 #: acceleration allowed there that joint speed may take; and length of a way without limits [rad or m].
 INNER, SPEEDY, WIDE = 0.75, 0.3, 1e3
-#: From this part of its speed limit on a joint counts as fast: the middle of a period does not tell all of it then.
-FAST = 1.1
-#: How often the motion of a whole period is predicted then.
-TIMES = 4
 
 
 class Viability:
@@ -63,6 +59,9 @@ class Limits:
         acceleration: As for `Viability`.
         torque: Largest torques, (n,).
         clear: How much more each joint may be accelerated where limits are not looked at more closely.
+        fast: Part of its speed limit from which a joint counts as fast.
+        times: How often a change is found for a better prediction of the motion, at most.
+        met: How well a prediction must be met.
         model: Robot whose dynamics count.
         smallest: Smallest change of accelerations within bounds, a `SmallestChange`.
     """
@@ -77,17 +76,17 @@ class Limits:
         acceleration: Vector,
         torque: JointVector,
         clear: float,
+        fast: float,
+        times: int,
+        met: float,
         model: Any,
         smallest: Callable[..., JointVector],
     ) -> None:
-        self._made_from = period, rate, ends, fastest, braking, acceleration, torque, clear, model, smallest
-        self._half, self._torque, self._clear, self._model, self._smallest = (
-            0.5 * period,
-            torque,
-            clear,
-            model,
-            smallest,
-        )
+        self._made_from = (
+            period, rate, ends, fastest, braking, acceleration, torque, clear, fast, times, met, model, smallest,
+        )  # fmt: skip
+        self._half, self._torque, self._clear, self._fast = 0.5 * period, torque, clear, fast
+        self._times, self._met, self._model, self._smallest = times, met, model, smallest
         self._viability = Viability(rate, ends, fastest, braking, acceleration)
         self._middle, self._per_half = self._inner()
         self._most = 1.0 if self._per_half.any() else 0.0
@@ -150,37 +149,44 @@ class Limits:
             return tau, change
         most, least = most[:n], np.minimum(-most[n:], most[:n])
         lower, upper = np.concatenate((least, -torque)), np.concatenate((most, torque))
-        # A held torque accelerates the joints, on average, as in the middle of the period.
         shift = np.minimum(np.maximum(ddq, least), most)
         middle, speed = self._halfway(q, dq, shift)
         M = model._mass(middle)
         _, mean, _ = dposv(M, tau - model._bias(middle, speed))
-        now = np.concatenate((mean, tau))
+        # Once more, from where the torque leads to.
+        shift = np.minimum(np.maximum(mean, least), most)
+        middle, speed = self._halfway(q, dq, shift)
+        mean += dposv(M, tau - model._inverse_dynamics(middle, speed, mean))[1]
+        asked = np.minimum(np.maximum(mean, least), most)
+        # So that without a change the middle stays where it is, and the torque is continuous.
+        shift -= asked
+        now = np.concatenate((self._predicted(q, dq, tau, mean, asked), tau))
         if (lower <= now).all() and (now <= upper).all():
             return tau, change
-        # So that without a change the middle stays where it is, and the torque is continuous.
-        shift -= np.minimum(np.maximum(mean, least), most)
-        change = self._smallest(J, M, lower - now, upper - now)
-        # Where the middle is depends on the change.
-        mean += change
-        middle, speed = self._halfway(q, dq, mean + shift)
-        tau = model._inverse_dynamics(middle, speed, mean)
-        fast = min(max(self._viability.rate * np.abs(dq / self._viability.fastest[:n]).max() - FAST, 0.0), 1.0)
-        if fast or (np.abs(tau) > torque).any():
-            # Who gives way to whom is settled.
-            least, most = np.minimum(least, mean), np.maximum(most, mean)
-            M = model._mass(middle)
-            for _ in range(TIMES if fast else 1):
-                if fast:
-                    mean += fast * (self._held(q, dq, tau) - mean)
-                lower, upper = (
-                    np.concatenate((least - mean, -torque - tau)),
-                    np.concatenate((most - mean, torque - tau)),
-                )
-                more = self._smallest(J, M, lower, upper)
-                tau, mean, change = tau + M.dot(more), mean + more, change + more
-        # For rounding only.
-        return np.minimum(np.maximum(tau, -torque), torque), change
+        for _ in range(self._times):
+            change = self._smallest(J, M, lower - now, upper - now)
+            asked, linear = mean + change, M.dot(change)
+            middle, speed = self._halfway(q, dq, asked + shift)
+            held = model._inverse_dynamics(middle, speed, asked)
+            found = self._predicted(q, dq, held, asked, asked)
+            # What is missed: of the accelerations that were to be, and of the torques that were to give them.
+            effort = now[n:] + linear
+            miss, off = np.abs(found - now[:n] - change).max(), (np.abs(held - effort) / M.diagonal()).max()
+            # Rounding aside.
+            tight = (np.maximum(np.abs(effort), np.abs(held)) >= (1.0 - 1e-9) * torque).any()
+            if miss < self._met and (off < self._met or not tight):
+                break
+            now = np.concatenate((found - change, held - linear))
+        # A torque that is used up is used up to the last digit.
+        return np.minimum(np.maximum(effort if tight else held, -torque), torque), change
+
+    def _predicted(
+        self, q: JointVector, dq: JointVector, tau: JointVector, mean: JointVector, ddq: JointVector
+    ) -> JointVector:
+        """Mean acceleration over a period: that of its middle, or of its whole motion where a joint is fast."""
+        speed = np.maximum(np.abs(dq), np.abs(dq + 2.0 * self._half * ddq))
+        fast = min(self._viability.rate * (speed / self._viability.fastest[: dq.size]).max() - self._fast, 1.0)
+        return mean + fast * (self._held(q, dq, tau) - mean) if fast > 0.0 else mean
 
     def _halfway(self, q: JointVector, dq: JointVector, ddq: JointVector) -> tuple[JointVector, JointVector]:
         """The state in the middle of the period."""

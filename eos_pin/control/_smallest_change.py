@@ -50,6 +50,8 @@ HAIR, WIDER, EXACT = 1e-8, (1e-6, 1e-4), 1e-12
 HARD, SOFT, ZERO = 0, 8, 1e-9
 #: Torques and accelerations beyond this count as no limit.
 FAR = 1e12
+#: And more than so much torque counts as so much where it is asked what torques can keep [N m or N].
+MOST = 1e6
 
 
 class SmallestChange:
@@ -130,36 +132,42 @@ class SmallestChange:
         n, inertia, W = len(M), M.diagonal(), np.linalg.inv(M)
         least, most = np.maximum(lower[:n], -FAR), np.minimum(upper[:n], FAR)
         low, high = np.maximum(lower[n:], -FAR), np.minimum(upper[n:], FAR)
-        per_torque = 2.0 / (SHARP * (high - low))
+        middle, half = 0.5 * (low + high), 0.5 * np.minimum(high - low, MOST)
+        per_torque = 1.0 / (SHARP * half)
         # Hopeless is a joint that all torques together cannot keep.
         down, up = np.minimum(W * low, W * high).sum(axis=1), np.maximum(W * low, W * high).sum(axis=1)
         sign = np.where(least > up, 1.0, np.where(most < down, -1.0, 0.0))
         hopeless = np.minimum(inertia * per_torque * np.maximum(np.maximum(least - up, down - most), 0.0), 1.0)
         span = hopeless * (high - low)
         low, high = np.where(sign > 0.0, low + span, low), np.where(sign < 0.0, high - span, high)
-        rows, kinds = self._rows[:n], np.zeros(2 * n, dtype=np.intc)
-        below, above = np.concatenate((np.full(n, -FAR), low)), np.concatenate((np.full(n, FAR), high))
-        push, known = np.zeros(n), not span.any()
+        # Asked of torques, as parts of their limits: no price is too high for these, as it may be for accelerations.
+        rows, reach, offset = W * half, (np.abs(W) * half).sum(axis=1), W.dot(middle)
+        rows /= reach[:, None]
+        below = np.concatenate(((low - middle) / half, np.full(n, -FAR)))
+        above = np.concatenate(((high - middle) / half, np.full(n, FAR)))
+        kinds, push, known = np.zeros(2 * n, dtype=np.intc), np.zeros(n), not span.any()
         for j in self._order:
-            below[j], above[j] = least[j], most[j]
+            below[n + j], above[n + j] = (least[j] - offset[j]) / reach[j], (most[j] - offset[j]) / reach[j]
             if known and least[j] <= change[j] <= most[j]:
                 continue
-            kinds[j] = SOFT
+            kinds[n + j] = SOFT
             self._stage.update(A=rows, bupper=above, blower=below, sense=kinds)
             found, _, flag, info = self._stage.solve()
-            kinds[j] = HARD
+            kinds[n + j] = HARD
             if flag > 0:
-                info["lam"][j] = 0.0
-                change, known = self._on_bounds(found, info["lam"], below, above), True
+                info["lam"][n + j] = 0.0
+                found = _on_bounds(found, rows, info["lam"], below, above)
+                change, known = offset + reach * rows.dot(found), True
             # What it lacks, and which way.
             lack = max(least[j] - change[j], change[j] - most[j], 0.0)
             if lack > 0.0:
                 side = 1.0 if change[j] < least[j] else -1.0
                 push[j] = side * BRAKING_PRICE / inertia[j] * min(lack * inertia[j] * per_torque[j], 1.0)
-                below[j] -= (1.0 + FADE) * lack
-                above[j] += (1.0 + FADE) * lack
-            below[j] -= HAIR
-            above[j] += HAIR
+            room = (1.0 + FADE) * lack + HAIR
+            least[j] -= room
+            most[j] += room
+            below[n + j], above[n + j] = (least[j] - offset[j]) / reach[j], (most[j] - offset[j]) / reach[j]
+        below, above = np.concatenate((least, low)), np.concatenate((most, high))
         self._lower[: 2 * n], self._upper[: 2 * n] = below, above
         part = 1.0 - (1.0 - MODEST) * np.abs(push * inertia).max() / BRAKING_PRICE
         per_weight, prices = self._per_weight / part, self._prices * part
@@ -170,16 +178,19 @@ class SmallestChange:
             self._last.update(f=-M.dot(push), A=self._rows, bupper=self._upper, blower=self._lower, sense=self._settled)
             found, _, flag, info = self._last.solve()
             if flag > 0 and math.isfinite(found.dot(found)):
-                return self._on_bounds(found, info["lam"][: 2 * n], self._lower[: 2 * n], self._upper[: 2 * n])
+                return _on_bounds(
+                    found, self._rows[:n], info["lam"][: 2 * n], self._lower[: 2 * n], self._upper[: 2 * n]
+                )
         return change
-
-    def _on_bounds(self, found: JointVector, lam: Vector, below: Vector, above: Vector) -> JointVector:
-        """The same change with less rounding: exactly on the bounds that are active."""
-        active = np.flatnonzero(lam)
-        rows = np.concatenate((np.eye(found.size), self._rows[: found.size]))[active]
-        off = np.where(lam > 0.0, above, below)[active] - rows.dot(found)
-        return found + np.linalg.lstsq(rows, off, rcond=None)[0]
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The workspace is made anew where it is unpickled.
         return type(self), self._made_from
+
+
+def _on_bounds(found: JointVector, rows: Float[Array, "n n"], lam: Vector, below: Vector, above: Vector) -> JointVector:
+    """The same solution with less rounding: exactly on the bounds that are active."""
+    active = np.flatnonzero(lam)
+    held = np.concatenate((np.eye(found.size), rows))[active]
+    off = np.where(lam > 0.0, above, below)[active] - held.dot(found)
+    return found + np.linalg.lstsq(held, off, rcond=None)[0]

@@ -62,6 +62,11 @@ RAMP, ACCELERATION = 0.25, 10.0
 #: Where each joint may be accelerated by this much more than it is, limits are not looked at more closely
 #: [rad/s² or m/s²].
 CLEAR = 20.0
+#: Part of its speed limit from which a joint counts as fast: the middle of a period does not tell all of it then.
+FAST = 1.1
+#: How often the motion of a period is predicted where limits are active, at most, and how well a prediction must be met
+#: [rad/s² or m/s²].
+TIMES, MET = 6, 1e-4
 
 
 @by_value
@@ -370,5 +375,5 @@ class LimitedEosController(EosController):
         smallest = SmallestChange(self.task.m, self.robot.n, self.keeping_order)
         return Limits(
             self.control_period, kept.rate, kept.ends, kept.fastest, kept.braking, kept.acceleration,
-            self.limits.torque, CLEAR, self._model, smallest,
+            self.limits.torque, CLEAR, FAST, TIMES, MET, self._model, smallest,
         )  # fmt: skip

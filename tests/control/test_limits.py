@@ -8,9 +8,9 @@ import pickle
 import daqp
 import numpy as np
 import pytest
+from checks import with_plain_limits
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import linprog
 
 from eos_pin import (
     EosController,
@@ -27,7 +27,7 @@ from eos_pin import (
     figure_eight,
     simulate_sampled,
 )
-from eos_pin._kernels.dispatch import REFERENCES, kernels
+from eos_pin._kernels.dispatch import kernels
 from eos_pin.control._smallest_change import (
     LIMIT_PRICE,
     LIMIT_WEIGHT,
@@ -220,11 +220,6 @@ def test_change_is_the_smallest(seed, size):
         np.testing.assert_array_equal(use_compiled(J, M, lower, upper), change)
 
 
-def plain_limits(controller):
-    """The plain form of the kernel that keeps a controller's limits."""
-    return REFERENCES["Limits"](*controller._within.__reduce__()[1])
-
-
 @pytest.mark.skipif(kernels is None, reason="installed without a C compiler")
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 1e-2]), st.sampled_from([1.0, 30.0, 1000.0]))
 def test_compiled_limits_equal_the_plain_ones(panda, task, limits, seed, period, size):
@@ -235,9 +230,8 @@ def test_compiled_limits_equal_the_plain_ones(panda, task, limits, seed, period,
     dq, ddq = panda.velocity * random.normal(size=7) / 3.0, size * random.normal(size=7)
     point = task.at(q, dq)
     for _ in range(2):
-        for one, other in zip(
-            controller._within(q, dq, ddq, point.J), plain_limits(controller)(q, dq, ddq, point.J), strict=True
-        ):
+        plain = with_plain_limits(copy.copy(controller))
+        for one, other in zip(controller._within(q, dq, ddq, point.J), plain._within(q, dq, ddq, point.J), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * size)
         controller = pickle.loads(pickle.dumps(controller))
 
@@ -260,30 +254,3 @@ def test_bad_limits_are_refused(panda: Robot, task: PositionTask) -> None:
         JointLimits.from_robot(panda, acceleration=[1.0, 2.0])
     with pytest.raises(InputError, match="period"):
         LimitedEosController(task, figure_eight(task.value(REST)), control_period=0.0)
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_bounds_are_passed_only_where_no_torques_keep_them(seed):
-    """An independent linear program finds none."""
-    random = np.random.default_rng(seed)
-    n = 4
-    root = random.normal(size=(n, n))
-    J, M = random.normal(size=(2, n)), root @ root.T + 0.2 * np.eye(n)
-    torque = np.diag(M) * random.exponential(20.0, n)
-    now, middle = random.uniform(-1.0, 1.0, n) * torque, random.normal(size=n) * random.choice([5.0, 20.0])
-    lower = np.concatenate((middle - random.exponential(10.0, n), -torque - now))
-    upper = np.concatenate((middle + random.exponential(10.0, n), torque - now))
-    change = SmallestChange(2, n)(J, M, lower, upper)
-    effort = M @ change
-    assert (np.abs(effort + now) <= torque + 1e-5 * (1.0 + torque)).all()
-    passed = (change < lower[:n] - 1e-3) | (change > upper[:n] + 1e-3)
-    if not passed.any():
-        return
-    W = np.linalg.inv(M)
-    found = linprog(
-        np.zeros(n),
-        A_ub=np.vstack((W, -W)),
-        b_ub=np.concatenate((upper[:n], -lower[:n])) - 1e-3,
-        bounds=np.column_stack((lower[n:], upper[n:])),
-    )
-    assert found.status == 2
