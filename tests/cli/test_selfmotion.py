@@ -1,4 +1,4 @@
-"""`eos-pin selfmotion`, `explore` and `demo`: what they print, write and refuse."""
+"""`eos-pin selfmotion` and `explore`: what they print, write and refuse."""
 
 from __future__ import annotations
 
@@ -64,13 +64,3 @@ def test_commands_of_the_self_motion_refuse_what_has_none(
     assert main(words.split()) == 2
     assert told in " ".join(capsys.readouterr().err.split())
     assert not list(Path().iterdir())
-
-
-@pytest.mark.slow
-def test_demo_writes_its_page(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["demo", "--html", "lesson.html"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "EOS control: the elbow sweeps" in said
-    assert "Traditional control: after 4 rounds" in said
-    assert "The elbow drifts" not in said
-    assert Path("lesson.html").stat().st_size < 4e6

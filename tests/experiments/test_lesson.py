@@ -4,21 +4,29 @@ from __future__ import annotations
 
 import gzip
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from eos_pin import InputError, load_robot
+from eos_pin.cli.main import main
 from eos_pin.experiments.lesson import Lesson, elbow_of, lesson
 from eos_pin.viewer.lesson import write_lesson
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
 
-@pytest.fixture(scope="module")
-def taught() -> Lesson:
+@cache
+def once() -> Lesson:
     return lesson(load_robot("panda", chain_to="auto"))
+
+
+@pytest.fixture
+def taught(unchecked: None) -> Lesson:
+    """Made by the first test that asks, since checks are switched off for the time of a test."""
+    return once()
 
 
 @pytest.mark.slow
@@ -68,6 +76,16 @@ def test_lesson_page_has_both_robots(taught: Lesson, tmp_path: Path) -> None:
     assert np.abs(apart - apart[0]).max() < 1e-6
     assert np.linalg.norm(apart[0]) > 0.5 * taught.task.robot.reach
     assert np.abs(poses[0, 7:14, 3:] - poses[0, :7, 3:]).max() < 1e-6
+
+
+@pytest.mark.slow
+def test_demo_tells_what_its_page_shows(taught: Lesson, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr("eos_pin.experiments.lesson.lesson", lambda robot: taught)
+    assert main(["demo", "--html", str(tmp_path / "lesson.html")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"EOS control: the elbow sweeps {taught.swept:.2f} m" in said
+    assert f"Traditional control: after {taught.rounds} rounds" in said
+    assert (tmp_path / "lesson.html").stat().st_size > 1e6
 
 
 def test_lesson_refuses_a_robot_without_one_joint_to_spare() -> None:

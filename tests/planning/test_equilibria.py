@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from eos_pin.planning.manifolds.equilibria import Equilibrium, crossings, slopes
 pytestmark = pytest.mark.usefixtures("unchecked")
 
 
+@cache
 def found_at(name: str, kind: str, **options):
     """Manifold at the rest posture, and its equilibria."""
     robot = load_robot(name, chain_to="auto", **options)
@@ -32,13 +34,13 @@ def found_at(name: str, kind: str, **options):
     return manifold, equilibria(manifold, starts=[q], count=4)
 
 
-@pytest.fixture(scope="module")
-def panda_pose():
+@pytest.fixture
+def panda_pose(unchecked: None):
     return found_at("panda", "pose")
 
 
-@pytest.fixture(scope="module")
-def hanging():
+@pytest.fixture
+def hanging(unchecked: None):
     return found_at("planar_chain_10", "position", gravity=(0.0, -9.81, 0.0))
 
 

@@ -215,10 +215,10 @@ def chromium() -> Iterator[Chromium]:
         browser.close()
 
 
-@pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def written(unchecked: None, tmp_path: Path) -> Path:
     task, q = made("panda", "pose")
-    return write_explorer(tmp_path_factory.mktemp("explorer") / "panda.html", task, q)
+    return write_explorer(tmp_path / "panda.html", task, q)
 
 
 def drag(page: Page, handle: int, right: float, down: float) -> None:
@@ -273,9 +273,10 @@ def test_explorer_moves_task_and_self_motion_by_hand(chromium: Chromium, written
 
 @MARKS[0]
 @MARKS[1]
-def test_explorer_fits_a_narrow_screen(chromium: Chromium, written: Path) -> None:
-    narrow = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-    page = chromium.open(written.as_uri(), before=(("Emulation.setDeviceMetricsOverride", narrow),))
+def test_explorer_fits_a_narrow_screen_and_takes_touch(chromium: Chromium, written: Path) -> None:
+    narrow = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
+    touch = ("Emulation.setTouchEmulationEnabled", {"enabled": True})
+    page = chromium.open(written.as_uri(), before=(("Emulation.setDeviceMetricsOverride", narrow), touch))
     boxes = page.js(
         "[...document.querySelectorAll('#panel input, #panel canvas, #panel button, #view canvas')]"
         ".map(e => e.getBoundingClientRect()).map(b => [b.left, b.right])"
@@ -287,5 +288,14 @@ def test_explorer_fits_a_narrow_screen(chromium: Chromium, written: Path) -> Non
         "document.querySelector('#view canvas').getBoundingClientRect().bottom]"
     )
     assert above <= below + 1.0
+    wait_for(lambda: page.js("explorer.loop() !== null"), 20.0)
+    x, y = page.js("explorer.onScreen(explorer.handles[1].at)")
+    page.do("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+    for k in range(1, 6):
+        page.do("Input.dispatchTouchEvent", type="touchMove", touchPoints=[{"x": x - 8 * k, "y": y + 3 * k}])
+    page.do("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    touched = state(page)
+    assert abs(touched["v"][0]) > 0.05
+    assert touched["error"] < 1e-9
     assert not page.troubles()
     page.close()
