@@ -69,6 +69,15 @@ def test_refusal_names_the_way_point_out_of_reach(task):
     assert "to way point 3" in str(refused.value) or "from way point 2 to 3" in str(refused.value)
 
 
+def test_bodies_take_pairs_of_links_without_capsules_but_no_unknown_names(task):
+    """Of three capsules along the arm the first and the last are checked; the others are neighbours."""
+    capsules = {f"panda_{link}": Capsule([0, 0, 0], [0, 0, 0.1], 0.05) for link in ("link0", "link4", "hand")}
+    assert len(Bodies.of(task.robot, capsules, [("panda_link0", "panda_link5")]).pairs) == 1
+    assert len(Bodies.of(task.robot, capsules, [("panda_link0", "panda_hand")]).pairs) == 0
+    with pytest.raises(InputError, match="'panda_link55'"):
+        Bodies.of(task.robot, capsules, [("panda_link4", "panda_link55")])
+
+
 def test_box_around_the_base_is_refused_by_name(task):
     scene = Scene([Box([0.0, 0.0, 0.2], [0.4, 0.4, 0.6], name="crate")])
     with pytest.raises((InputError, PlanError), match="'crate'"):

@@ -89,7 +89,8 @@ class Bodies:
         Args:
             robot: The robot.
             capsules: Capsule in the frame of each link.
-            unchecked: Pairs of links that need no check. Neighbours among the links named are not checked either.
+            unchecked: Pairs of links that need no check, with capsules or without. Neighbours among the links named are
+                not checked either.
         """
         frames = {name: robot.model.frames[robot.frame_id(name)] for name in capsules}
         names = list(capsules)
@@ -103,8 +104,9 @@ class Bodies:
                     break
             parents[name] = above
         skipped = {frozenset(map(str, listed(pair, "each of unchecked"))) for pair in unchecked}
-        for name in frozenset().union(*skipped) - frames.keys():
-            raise UnknownNameError("link with a capsule", str(name), names)
+        # Lists of such pairs name links without capsules as well.
+        for name in sorted(frozenset().union(*skipped) - frames.keys()):
+            robot.frame_id(name)
         pairs = [
             (i, j)
             for i, a in enumerate(names)
