@@ -68,6 +68,8 @@ REFUSED = [
     ("track panda --self-motion damp --kp-self-motion 9", "--kp-self-motion 9.0 does not apply"),
     ("track panda --self-motion free --kd-self-motion 9", "--kd-self-motion 9.0 does not apply"),
     ("track panda --stiffness 800", "--stiffness 800.0 does not apply: it belongs to --controller impedance"),
+    ("track panda --self-motion-stiffness 9", "--self-motion-stiffness 9.0 does not apply"),
+    ("track panda --damping-ratio 1", "--damping-ratio 1.0 does not apply"),
     ("track panda --controller impedance --kp 50", "--kp 50.0 does not apply: other controllers have gains"),
     ("track panda --controller task-space --kp 50", "--kp 50.0 does not apply: other controllers have gains"),
     ("track panda --controller task-space --kd 50", "--kd 50.0 does not apply"),

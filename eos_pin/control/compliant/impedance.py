@@ -54,8 +54,7 @@ class ImpedanceController(Controller):
     one fades out, and energy that this needs comes from a tank that damping fills; where the tank is empty the change
     waits. Moving targets bring in power; `energies` has it. See docs/impedance.md.
 
-    A controller is never changed. `with_mode` makes another one, and `loop.controller = …` goes over to it without a
-    jump of the torque.
+    A controller is never changed. `with_mode` makes another, and `loop.controller = …` goes over without a jump.
 
     Args:
         task: The task: of numbers, angles and rotations.
