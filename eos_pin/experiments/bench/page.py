@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eos_pin.experiments.bench.harness import FREE_RATES, TASK_RATES
+from eos_pin.experiments.bench.harness import FREE_RATES, ROBOTS, TASK_RATES
 from eos_pin.experiments.bench.laws import LAWS, STATED_ERROR
-from eos_pin.experiments.bench.settings import RATE, SETTINGS
+from eos_pin.experiments.bench.settings import RATE, SETTINGS, USUAL
 from eos_pin.experiments.bench.trial import DURATION, LOST, OFF, PERIOD, SETTLED, SIZE
 from eos_pin.experiments.bench.verdict import ALIKE, ENOUGH, Verdict, verdict
 from eos_pin.experiments.trial import Row
@@ -32,13 +32,10 @@ def page(rows: Sequence[Row], command: str, figure: str = "") -> str:
     """
     robots, laws = (list(dict.fromkeys(row[name] for row in rows)) for name in ("robot", "law"))
     settings = list(dict.fromkeys(row["setting"] for row in rows))
-    seeds = len({row["seed"] for row in rows})
     verdicts = [verdict(rows, setting) for setting in settings]
     parts = [
         HEAD.format(command=command),
-        f"{len(laws)} laws on {len(robots)} robots ({', '.join(robots)}) in {len(settings)} settings with {seeds} "
-        f"seed{'s' if seeds > 1 else ''} each: {len(rows):,} runs. `{command}` computes more seeds, keeps what is "
-        "finished, and writes this page.",
+        _counts(rows, verdicts, robots, laws, command),
         _in_short(verdicts),
         _where(verdicts),
         "## Task error, relative to EOS\n\nMedian over robots and seeds of the ratio of root-mean-square task errors "
@@ -54,6 +51,25 @@ def page(rows: Sequence[Row], command: str, figure: str = "") -> str:
         _how(rows),
     ]
     return "\n\n".join(part.strip() for part in parts if part) + "\n"
+
+
+def _counts(
+    rows: Sequence[Row], verdicts: Sequence[Verdict], robots: Sequence[str], laws: Sequence[str], command: str
+) -> str:
+    """Numbers of runs and pairs, and settings that were left out."""
+    pairs = _list([f"{v.pairs} with {SETTINGS[v.setting].title}" for v in verdicts])
+    missing = [name for name in USUAL if name not in {v.setting for v in verdicts}]
+    left = f" Not run for this page: {_settings(missing)}." if missing else ""
+    whole = len(LAWS) * len(ROBOTS) * len(USUAL) * 20
+    if len(rows) < whole:
+        left += (
+            f" That is {len(rows) / whole:.1%} of the whole bench, so it says little about other robots and settings."
+        )
+    return (
+        f"{len(laws)} laws on {', '.join(robots)}: {len(rows):,} runs, which are so many pairs of each two laws: "
+        f"{pairs}.{left} `{command}` runs all on three robots with 20 seeds, keeps what is finished, and writes "
+        "this page."
+    )
 
 
 def _title(law: str) -> str:
@@ -79,7 +95,7 @@ def _in_short(verdicts: Sequence[Verdict]) -> str:
         lines.append(f"* No winner with {_settings(none)}: several laws are as good, as far as these runs show.")
     few = [v for v in verdicts if v.pairs < ENOUGH]
     if few:
-        lines.append(f"* Fewer than {ENOUGH} pairs in {len(few)} settings: nothing is shown there.")
+        lines.append(f"* Fewer than {ENOUGH} pairs with {_settings([v.setting for v in few])}: nothing is shown there.")
     return "\n".join(lines)
 
 
@@ -168,8 +184,13 @@ def _findings(verdicts: Sequence[Verdict], rows: Sequence[Row], laws: Sequence[s
             "* Nakanishi et al. (2008), as recollected, prefer simplified acceleration 1 of their eight, and find that "
             f"laws in forces suffer from errors of the mass matrix. The preference is {verdict_of_paper} "
             f"(geometric mean over the settings of the error relative to EOS: {ranked}). Here every law gets its gains "
-            "by a search, and the noise is smaller than that of their robot."
+            "by a search."
         )
+        if eight[0] == "velocity-integrated":
+            lines.append(
+                "* The integrated velocity is ahead of the eight because its desired joints integrate the task error: "
+                "it has an integral term, which no other law here has."
+            )
     lost = {law: np.mean([row["error"] >= LOST for row in rows if row["law"] == law]) for law in laws}
     if {"successive-static", "successive-dynamic"} <= set(laws):
         ratio = overall["successive-static"] / overall["successive-dynamic"]
@@ -197,6 +218,7 @@ def _findings(verdicts: Sequence[Verdict], rows: Sequence[Row], laws: Sequence[s
 def _how(rows: Sequence[Row]) -> str:
     times = [row["seconds"] for row in rows if np.isfinite(row["seconds"])]
     total = float(np.sum(times))
+    whole = len(LAWS) * len(ROBOTS) * len(USUAL) * 20
     return f"""## How it is done
 
 The tool follows a figure eight of {SIZE:.0%} of the robot's reach in {PERIOD:g} s, twice; the error counts from
@@ -208,5 +230,14 @@ friction). That is a small search, the same for all: a law whose best gains lie 
 
 Runs are paired by robot and seed. A law is worse than the best where its median ratio is above {1.0 + ALIKE:g}, its
 bootstrap interval lies above 1, and Wilcoxon's signed-rank test rejects at 5 % after Holm's correction for all laws of
-the setting. With less than {ENOUGH} pairs there is no winner. The {len(rows):,} runs took {total / 3600.0:.2f} hours
-of one core, beside other work."""
+the setting. With less than {ENOUGH} pairs there is no winner. The {len(rows):,} runs took {total / 60.0:.1f} minutes
+of one core; the whole bench of {whole:,} would take {whole * total / len(times) / 3600.0:.1f} hours of one core.
+{_at_the_edge(rows)}"""
+
+
+def _at_the_edge(rows: Sequence[Row]) -> str:
+    """How many searches for gains ended at the highest rate of the task that is offered."""
+    found = {(row["robot"], row["law"]): row["task_rate"] for row in rows}
+    high = sum(rate == max(TASK_RATES) for rate in found.values())
+    most = max(TASK_RATES)
+    return f"Of the {len(found)} searches {high} ended at the highest rate of the task that is tried, {most:g} 1/s."
