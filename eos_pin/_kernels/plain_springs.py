@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, Jacobian, JointVector, Vector
+from eos_pin._arrays import Array, Jacobian, JointVector
 
 
-def shortened(e: Vector, rows: slice) -> tuple[float, Vector]:
+def shortened(e: Float[Array, " k"], rows: slice) -> tuple[float, Float[Array, " 3"]]:
     """Replace a rotation vector in e by twice the vector part of its quaternion; the scalar part η, and 2ε."""
     phi = e[rows]
     a, b, c = phi.tolist()
@@ -25,7 +25,7 @@ def shortened(e: Vector, rows: slice) -> tuple[float, Vector]:
     return math.cos(half), phi
 
 
-def turn_moment(F: Vector, rows: slice, eta: float, two_epsilon: Vector) -> None:
+def turn_moment(F: Float[Array, " k"], rows: slice, eta: float, two_epsilon: Float[Array, " 3"]) -> None:
     """Make of F = K e, in place, the moment that is the gradient of ½ eᵀK e: η F − ε × F."""
     x, y, z = F[rows].tolist()
     a, b, c = two_epsilon.tolist()

@@ -364,8 +364,11 @@ def test_soft_start_without_gravity_or_robot_begins_at_zero_or_as_told(panda: Ro
     blind = ControlLoop(OpenLoop(lambda t: [5.0, 1.0]), torque_rate=[10.0, 20.0], first_torque=[1.0, 1.0])
     assert blind.step(0.0, [0.0, 0.0], [0.0, 0.0]).tolist() == [1.0, 1.0]
     np.testing.assert_allclose(blind.step(0.1, [0.0, 0.0], [0.0, 0.0]), [2.0, 1.0])
-    for wrong in ({"torque_rate": 0.0}, {"torque_rate": [1.0, 2.0]}, {"soft_start": -1.0}, {"first_torque": [1.0]}):
+    for wrong in ({"torque_rate": 0.0}, {"torque_rate": [1.0, 2.0]}, {"soft_start": -1.0}):
         with pytest.raises(InputError, match="must be"):
+            ControlLoop(loop.controller, **wrong)
+    for wrong in ({"soft_start": 1.0, "first_torque": [1.0]}, {"first_torque": [1.0] * 7}):
+        with pytest.raises(InputError, match="first.torque"):
             ControlLoop(loop.controller, **wrong)
 
 

@@ -89,13 +89,29 @@ def test_holm_adjusts_as_the_textbook_does():
 def test_gains_are_those_with_the_least_error(monkeypatch, tmp_path):
     def fake(trials, **_):
         return [
-            {"error": abs(np.log(trial.task_rate / 16.0)) + (0.1 if trial.law == "eos" else -0.1) * trial.free_rate}
+            {
+                "error": 1.0
+                + abs(np.log(trial.task_rate / 16.0))
+                + (0.1 if trial.law == "eos" else -0.1) * trial.free_rate
+            }
             for trial in trials
         ]
 
     monkeypatch.setattr(harness, "sweep", fake)
     found = harness.find_gains(("panda",), ("eos", "gauss"), 1, {}, lambda *_: None)
     assert found == {("panda", "eos"): (16.0, 2.0), ("panda", "gauss"): (16.0, 8.0)}
+
+
+def test_gains_with_about_equal_errors_are_those_with_the_least_drift(monkeypatch):
+    def fake(trials, **_):
+        return [
+            {"error": 1.0 - 0.01 * trial.free_rate + (trial.task_rate > 16.0), "drift": trial.free_rate}
+            for trial in trials
+        ]
+
+    monkeypatch.setattr(harness, "sweep", fake)
+    found = harness.find_gains(("panda",), ("eos",), 1, {}, lambda *_: None)
+    assert found == {("panda", "eos"): (16.0, 2.0)}
 
 
 def test_page_says_where_eos_is_not_the_best():

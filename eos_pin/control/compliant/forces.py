@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eos_pin._arrays import Positive, TaskVector, Vector, checked, number
+from eos_pin._arrays import Positive, TaskVector, Vector, by_value, checked, number
 from eos_pin.errors import InputError, UnknownNameError
 from eos_pin.tasks.base import Task
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class ForceGoal:

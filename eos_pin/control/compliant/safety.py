@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from eos_pin._arrays import Array, JointVector, NonNegative, Positive, checked, number
+from eos_pin._arrays import Array, JointVector, NonNegative, Positive, by_value, checked, number
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 
 
+@by_value
 @checked
 @dataclass(frozen=True, eq=False)
 class Safety:

@@ -226,7 +226,8 @@ The tool follows a figure eight of {SIZE:.0%} of the robot's reach in {PERIOD:g}
 noise: runs of one seed differ in the law only. Torques are held at {RATE:g} Hz unless the setting says otherwise. Each
 law has two rates, ω of the task (kp = ω², kd = 2ω) and one of the posture or of v, found on each robot among
 {len(TASK_RATES)} × {len(FREE_RATES)} pairs in runs of a setting of their own (model 15 % off, noise, 2 ms delay,
-friction). That is a small search, the same for all: a law whose best gains lie elsewhere is better than it looks here.
+friction), by task error and, among about equal ones, by drift. That is a small search, the same for all: a law whose
+best gains lie elsewhere is better than it looks here.
 
 Runs are paired by robot and seed. A law is worse than the best where its median ratio is above {1.0 + ALIKE:g}, its
 bootstrap interval lies above 1, and Wilcoxon's signed-rank test rejects at 5 % after Holm's correction for all laws of
