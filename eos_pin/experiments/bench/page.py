@@ -57,17 +57,19 @@ def _counts(
     rows: Sequence[Row], verdicts: Sequence[Verdict], robots: Sequence[str], laws: Sequence[str], command: str
 ) -> str:
     """Numbers of runs and pairs, and settings that were left out."""
-    pairs = _list([f"{v.pairs} with {SETTINGS[v.setting].title}" for v in verdicts])
+    pairs = f"{verdicts[0].pairs} pairs of runs for each two laws in each of {len(verdicts)} settings"
+    if len({v.pairs for v in verdicts}) > 1:
+        counts = _list([f"{v.pairs} with {SETTINGS[v.setting].title}" for v in verdicts])
+        pairs = f"so many pairs for each two laws: {counts}"
     missing = [name for name in USUAL if name not in {v.setting for v in verdicts}]
     left = f" Not run for this page: {_settings(missing)}." if missing else ""
     whole = len(LAWS) * len(ROBOTS) * len(USUAL) * 20
     if len(rows) < whole:
-        left += (
-            f" That is {len(rows) / whole:.1%} of the whole bench, so it says little about other robots and settings."
-        )
+        others = "other robots and settings" if missing else "other robots"
+        left += f" That is {len(rows) / whole:.1%} of the whole bench, so it says little about {others}."
     return (
-        f"{len(laws)} laws on {', '.join(robots)}: {len(rows):,} runs, which are so many pairs of each two laws: "
-        f"{pairs}.{left} `{command}` runs all on three robots with 20 seeds, keeps what is finished, and writes "
+        f"{len(laws)} laws on {', '.join(robots)}: {len(rows):,} runs, {pairs}."
+        f"{left} `{command}` runs all on three robots with 20 seeds, keeps what is finished, and writes "
         "this page."
     )
 
