@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 import scipy.linalg
 from jaxtyping import Float, Int
+from scipy.linalg import lapack
 
 from eos_pin._arrays import (
     Array,
@@ -46,6 +47,27 @@ def check_rank(J: Jacobian) -> None:
             rank,
             values,
         )
+
+
+def solve_gram(J: Jacobian, Y: Float[Array, "n m"], b: Array, lacks: str) -> Array:
+    """Solution x of J Y x = b, where J Y is symmetric, and positive if J has full rank.
+
+    Args:
+        J: Jacobian.
+        Y: X⁻¹Jᵀ for a symmetric positive X.
+        b: Right side, a vector or columns.
+        lacks: End of the message where J Y is not positive although J has full rank.
+
+    Raises:
+        SingularError: J has not full rank.
+    """
+    R, x, info = lapack.dposv(J.dot(Y), b)
+    diagonal = R.diagonal().tolist()
+    if info or min(diagonal) <= RANK_TOLERANCE * max(diagonal):
+        check_rank(J)
+    if info:
+        raise SingularError(f"the task is singular here: {lacks}")
+    return np.asarray(x)
 
 
 def null_space(J: Jacobian) -> Float[Array, "n r"]:

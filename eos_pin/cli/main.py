@@ -5,31 +5,24 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING
 
 import tyro
 
-from eos_pin.cli.info import info
-from eos_pin.cli.many.sweep import sweep
-from eos_pin.cli.output import (
-    console,
-    guarded,
-)
-from eos_pin.errors import OldNameError
-
 # What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
-if TYPE_CHECKING:
-    pass
 from eos_pin.cli.analyze import analyze
 from eos_pin.cli.demo import demo
 from eos_pin.cli.explore import explore
 from eos_pin.cli.ik import ik
+from eos_pin.cli.info import info
 from eos_pin.cli.many.bench import bench
+from eos_pin.cli.many.sweep import sweep
+from eos_pin.cli.output import console, guarded
 from eos_pin.cli.plan import plan
 from eos_pin.cli.rehearse import rehearse
 from eos_pin.cli.replay import replay, robots
 from eos_pin.cli.selfmotion import selfmotion
 from eos_pin.cli.track import compare, track
+from eos_pin.errors import OldNameError
 
 
 def run(command: Callable[..., int], argv: Sequence[str] | None = None) -> int:

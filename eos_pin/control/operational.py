@@ -25,10 +25,10 @@ from eos_pin._arrays import (
     truth,
     unchecked,
 )
-from eos_pin.charts._basis import RANK_TOLERANCE, check_rank
+from eos_pin.charts._basis import solve_gram
 from eos_pin.control.base import TaskController
 from eos_pin.control.objectives import ReduceKineticEnergy, posture_value
-from eos_pin.errors import InputError, SingularError
+from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Trajectory
@@ -175,12 +175,7 @@ class OperationalSpaceController(TaskController):
             null = null + bias
         L, _ = lapack.dpotrf(model._mass(q), lower=1)
         Y, _ = lapack.dpotrs(L, point.J.T, lower=1)
-        R, force, info = lapack.dposv(point.J.dot(Y), ddz + Y.T.dot(bias - null))
-        diagonal = R.diagonal().tolist()
-        if info or min(diagonal) <= RANK_TOLERANCE * max(diagonal):
-            check_rank(point.J)
-        if info:
-            raise SingularError("the task is singular here: its mass matrix Λ does not exist")
+        force = solve_gram(point.J, Y, ddz + Y.T.dot(bias - null), "its mass matrix Λ does not exist")
         return point.J.T.dot(force) + null
 
 

@@ -97,8 +97,7 @@ def path_from_csv(
         _check_rests(table, steps)
         if corners == "round":
             points = _points(task, z0, given)
-            closed = bool(np.abs(points[-1] - points[0]).max() < SAME)
-            given = _Coordinates(points=rounded(task, points, blend, closed=closed))
+            given = _Coordinates(points=rounded(task, points, blend, closed=_closes(points)))
         times, note = _timed(table, task, q, given, corners)
         notes = (*given.notes, note)
     else:
@@ -302,7 +301,7 @@ def _timed(table: Waypoints, task: Task, q: JointVector, given: _Coordinates, co
     """Times for a table without, and a note about them."""
     if corners == "round":
         assert given.points is not None
-        times = paced(_ways(task, given.points), closed=np.array_equal(given.points[0], given.points[-1]))
+        times = paced(_ways(task, given.points), closed=_closes(given.points))
     else:
         times = np.concatenate(([0.0], np.cumsum(_steps(task, given))))
     if corners == "stop":
@@ -337,6 +336,11 @@ def _check_pace(table: Waypoints, way: float) -> None:
     )
 
 
+def _closes(points: Float[Array, "K size"]) -> bool:
+    """Whether way points end where they begin."""
+    return bool(np.abs(points[-1] - points[0]).max() < SAME)
+
+
 def _points(task: Task, z0: Point, given: _Coordinates) -> Float[Array, "K size"]:
     """Task points of the rows; coordinates that no column gives are as in z0."""
     if given.points is not None:
@@ -351,14 +355,13 @@ def _curve(task: Task, z0: Point, given: _Coordinates, times: Vector, corners: C
     """The path through the rows at given times; coordinates that no column gives stay as in z0."""
     if corners == "stop":
         points = _points(task, z0, given)
-        closed = len(points) > 2 and bool(np.abs(points[-1] - points[0]).max() < SAME)
-        return waypoint_path(task, points, times, closed=closed, corners=corners)
+        # Two equal points are a rest.
+        return waypoint_path(task, points, times, closed=len(points) > 2 and _closes(points), corners=corners)
     if given.points is not None and task.form in (POSE, ("number",)):
         turns = given.points[:, 3:].reshape(-1, 3, 3) if task.form == POSE else None
         given = _Coordinates(given.points if turns is None else given.points[:, :3], turns)
     if given.points is not None:
-        first, last = given.points[[0, -1]]
-        return waypoint_path(task, given.points, times, closed=bool(np.abs(last - first).max() < SAME))
+        return waypoint_path(task, given.points, times, closed=_closes(given.points))
     for repeats in (None, False):
         parts: list[Trajectory] = []
         if given.vectors is not None:

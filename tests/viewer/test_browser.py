@@ -9,11 +9,9 @@ import re
 import shlex
 import shutil
 import subprocess
-import tempfile
 import threading
 import time
 import zlib
-from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -31,14 +29,6 @@ from eos_pin.viewer.scene import Obstacle, Scene
 from eos_pin.viewer.viewer import Viewer, write_html
 
 pytestmark = MARKS
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Chromium]:
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        browser = Chromium(profile)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -205,14 +203,6 @@ def test_explorer_refuses_tasks_and_robots_without_formulas(panda: Robot, tmp_pa
 
 
 # -- the page ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Chromium]:
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        browser = Chromium(profile)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture

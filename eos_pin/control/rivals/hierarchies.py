@@ -15,6 +15,7 @@ from jaxtyping import Float
 from scipy.linalg import lapack
 
 from eos_pin._arrays import Array, Jacobian, JointVector, TaskVector, VectorLike, as_floats, checked, frozen_copy
+from eos_pin.charts._basis import solve_gram
 from eos_pin.control.rivals.parts import AccelerationController, right_inverse
 from eos_pin.errors import InputError
 from eos_pin.tasks.base import Task, TaskPoint
@@ -124,10 +125,7 @@ class HierarchyController(AccelerationController):
     def _pulled(Jt: Float[Array, "n k"], Y: Float[Array, "n k"], ddz: TaskVector) -> JointVector:
         """Jᵀ Λ ddz, with Y = M⁻¹Jᵀ."""
         # Y (J Y)⁻¹ is M⁻¹JᵀΛ; times ddz and M would do as well, but costs a product more.
-        _, force, info = lapack.dposv(Jt.T.dot(Y), ddz)
-        if info:
-            right_inverse(Jt.T, Y)
-        return Jt.dot(force)
+        return Jt.dot(solve_gram(Jt.T, Y, ddz, "its mass matrix Λ does not exist"))
 
     def _free(self, J: Jacobian, Y: Float[Array, "n k"], tau: JointVector) -> JointVector:
         """Nᵀ tau = tau − Jᵀ(J^W)ᵀ tau."""

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import lapack
 
 from eos_pin._arrays import Array, Jacobian, JointVector, TaskVector, VectorLike, checked, frozen_copy, gains, vector
-from eos_pin.charts._basis import RANK_TOLERANCE, check_rank
+from eos_pin.charts._basis import solve_gram
 from eos_pin.control.base import TaskController
 from eos_pin.control.operational import NullSpaceLaw
-from eos_pin.errors import InputError, SingularError
+from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task, TaskPoint
 from eos_pin.trajectories.base import Trajectory
@@ -30,13 +29,7 @@ def right_inverse(J: Jacobian, Y: Float[Array, "n m"]) -> Float[Array, "n m"]:
     Raises:
         SingularError: J has not full rank.
     """
-    R, inverse, info = lapack.dposv(J.dot(Y), Y.T)
-    diagonal = R.diagonal().tolist()
-    if info or min(diagonal) <= RANK_TOLERANCE * max(diagonal):
-        check_rank(J)
-    if info:
-        raise SingularError("the task is singular here: its Jacobian has no generalised inverse")
-    return np.asarray(inverse).T
+    return solve_gram(J, Y, Y.T, "its Jacobian has no generalised inverse").T
 
 
 def jacobian_rate(task: Task, q: JointVector, dq: JointVector) -> Jacobian:
