@@ -15,7 +15,7 @@ from eos_pin.planning.advice import Change, Deadline, advice, changes_for, compo
 from eos_pin.planning.courses import Mended, broken_at, mended, prolonged
 from eos_pin.planning.grid import Grid
 from eos_pin.planning.problem import Problem, told
-from eos_pin.planning.refine import ROUNDS, STEPS, Course, refine, without_bounds
+from eos_pin.planning.refine import ROUNDS, Course, refine, without_bounds
 from eos_pin.planning.search import Failure, Layers, Ticked
 from eos_pin.planning.whole import WholeLayers
 
@@ -223,7 +223,7 @@ class Search:
         """Refine the best of some ways and keep it, if it is better than the best so far."""
         raw = ways
         if not self.reconfigurations and rough:
-            ways = [refine(without_bounds(coarse), way, rounds=ROUGH) for way in ways]
+            ways = [self._refined(without_bounds(coarse), way, rows, ROUGH)[0] for way in ways]
         least, tried = np.inf, list[Array]()
         costs = np.array([coarse.cost(way) for way in ways])
         for i in np.argsort(costs, kind="stable").tolist():
@@ -254,15 +254,27 @@ class Search:
                 self._note(result)
                 return None
             q = result.q
-        # Refined joints may jump where those before did not: from branch to branch, close to a singularity.
-        row: int | None = 0
-        for rounds, steps in ((ROUNDS, STEPS), (ROUGH, STEPS), (ROUGH, 6), (ROUGH, 2), ((), 0)):
-            refined = refine(course, q, rounds=rounds, steps=steps)
-            row = broken_at(self.problem, self.grid, refined)
-            if row is None:
-                return refined
-        self.notes.append(f"the joints would have to jump at {self.grid.called(row or 0)}")
+        refined, row = self._refined(course, q, np.arange(len(q)), ROUNDS)
+        if row is None:
+            return refined
+        self.notes.append(f"the joints would have to jump at {self.grid.called(row)}")
         return None
+
+    def _refined(self, course: Course, q: Array, rows: Array, rounds: tuple[float, ...]) -> tuple[Array, int | None]:
+        """Joints of less cost at some points, and after which of these they jump, as those before do; None without."""
+        between = self.grid.between(rows)
+
+        def broken(joints: Array) -> int | None:
+            return broken_at(self.problem, joints, between, self.grid.closed)
+
+        refined = refine(course, q, rounds=rounds)
+        if broken(refined) is None:
+            return refined, None
+        row = broken(q)
+        if row is not None:
+            return refined, int(rows[row])
+        # From branch to branch, close to a singularity: refined joints jump where those before do not.
+        return refine(course, q, rounds=rounds, sound=lambda joints: broken(joints) is None), None
 
     def _pieces(self, way: Array) -> Array:
         """A way with jumps, each piece between two of them refined by itself."""

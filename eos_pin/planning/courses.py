@@ -11,7 +11,6 @@ from eos_pin._arrays import Array
 from eos_pin.planning.grid import Grid
 from eos_pin.planning.problem import Problem
 from eos_pin.planning.refine import NEAR, SMALL, Barrier, Course, descended
-from eos_pin.trajectories.through import sampled
 
 #: Room beyond what is asked for, so that what is mended is well inside: in joints [rad or m], distances [m], steps.
 ROOM, CLEAR, WITHIN = 2e-3, 2e-3, 0.97
@@ -60,12 +59,19 @@ def prolonged(
     return q
 
 
-def broken_at(problem: Problem, grid: Grid, q: Float[Array, "L n"]) -> int | None:
-    """Point after which joints are not continuous: halfway to the next the path's joints are not near; None without."""
-    following = np.concatenate((q[1:], problem.again(q)[None])) if grid.closed else q[1:]
-    q, dt = q[: len(following)], grid.dt[: len(following)]
+def broken_at(problem: Problem, q: Float[Array, "L n"], between: Float[Array, "L size"], closed: bool) -> int | None:
+    """Point after which joints are not continuous: halfway to the next the path's joints are not near; None without.
+
+    Args:
+        problem: The problem.
+        q: Joints at points of a path.
+        between: Task points halfway from each of them to the next.
+        closed: Whether the last point leads to the first.
+    """
+    following = np.concatenate((q[1:], problem.again(q)[None])) if closed else q[1:]
+    q, between = q[: len(following)], between[: len(following)]
     middle = 0.5 * (q + following).T
-    on, found = problem.manifold.project(middle, sampled(grid.path, grid.times[: len(q)] + 0.5 * dt).T, iterations=10)
+    on, found = problem.manifold.project(middle, between.T, iterations=10)
     wrong = ~is_near(on, found, middle, (following - q).T)
     return int(wrong.argmax()) if wrong.any() else None
 

@@ -88,6 +88,7 @@ def refine(
     rounds: tuple[float, ...] = ROUNDS,
     steps: int = STEPS,
     tick: Callable[[], None] = lambda: None,
+    sound: Callable[[Array], bool] = lambda q: True,
 ) -> Float[Array, "L n"]:
     """Joints of less cost near q, or q itself; limits, distances and bounds that q keeps are kept.
 
@@ -97,6 +98,7 @@ def refine(
         rounds: Weights of the barriers, round by round.
         steps: Most steps in a round.
         tick: Called at each step; it may raise to stop.
+        sound: Whether joints are sound in other ways, as q is; no step leads to others.
     """
     if not course.problem.r:
         return q
@@ -104,7 +106,7 @@ def refine(
     mean = least / len(q)
     for weight in rounds:
         gain = LAST if weight == ROUNDS[-1] else GAIN
-        q = descended(course, Barrier(course, max(weight * mean, 1e-12)), q, steps, tick, gain=gain)
+        q = descended(course, Barrier(course, max(weight * mean, 1e-12)), q, steps, tick, gain=gain, sound=sound)
         cost = course.cost(q)
         if cost < least:
             best, least = q, cost
@@ -119,6 +121,7 @@ def descended(
     tick: Callable[[], None] = lambda: None,
     enough: Callable[[Array], bool] = lambda q: False,
     gain: float = GAIN,
+    sound: Callable[[Array], bool] = lambda q: True,
 ) -> Array:
     """Joints of less value near q, by Newton's method with Levenberg's damping.
 
@@ -130,6 +133,7 @@ def descended(
         tick: Called at each step.
         enough: Whether joints are good enough to end with.
         gain: Relative gain below which it ends.
+        sound: Whether joints may be gone to.
     """
     value, damping = barrier.value(q), 1e-3
     for _ in range(steps):
@@ -141,7 +145,7 @@ def descended(
             if x is None:
                 damping = max(10.0 * damping, 1e-6)
                 continue
-            q_new, value_new, length = _along(course, barrier, q, value, system, x)
+            q_new, value_new, length = _along(course, barrier, q, value, system, x, sound)
             damping = damping * (0.2 if length == 1.0 else 4.0 if length < 0.2 else 1.0)
             if length:
                 q, value = q_new, value_new
@@ -152,7 +156,13 @@ def descended(
 
 
 def _along(
-    course: Course, barrier: Barrier, q: Array, value: float, system: _System, x: Array
+    course: Course,
+    barrier: Barrier,
+    q: Array,
+    value: float,
+    system: _System,
+    x: Array,
+    sound: Callable[[Array], bool],
 ) -> tuple[Array, float, float]:
     """The longest of a few parts of a step that lowers the value, and that part; 0 where none does."""
     move = np.einsum("knr,kr->kn", system.V, x)
@@ -166,7 +176,7 @@ def _along(
             q_new[:, -1] = q[-1]
         if found.all():
             value_new = barrier.value(q_new.T)
-            if value_new < value:
+            if value_new < value and sound(q_new.T):
                 return q_new.T, value_new, part
         part *= 0.35
     return q, value, 0.0

@@ -33,6 +33,7 @@ def test_refined_joints_cost_no_more_and_keep_limits(seed, closed):
     problem = problem_of(Manifold(task), None, None, False, 0.0, 0.01, None, None, 1.0)
     course = Course(problem, Z, np.full(40, 0.1), closed)
     assert course.kept(own)
+    assert np.array_equal(refine(course, own, sound=lambda q: False), own)
     found = refine(course, own)
     assert course.cost(found) <= course.cost(own)
     assert course.kept(found)
