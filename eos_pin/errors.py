@@ -127,7 +127,7 @@ class SingularError(ChartError):
 
 
 class PlanError(EosError):
-    """Path without a motion that was found, or plan that does not fit its use.
+    """Failure to find a motion along a path, or use of a plan that does not fit.
 
     Attributes:
         waypoint: Number of the last way point that was reached; None where that has no meaning.
@@ -215,12 +215,12 @@ def renamed(**names: str) -> Callable[[F], F]:
 
 
 def take(interrupt: KeyboardInterrupt) -> None:
-    """Note that an interrupt is dealt with; the command line repeats one that is lost."""
+    """Mark an interrupt as handled; the command line repeats one that is lost."""
     interrupt.__dict__["taken"] = True
 
 
 def is_taken(interrupt: KeyboardInterrupt) -> bool:
-    """Whether somebody has dealt with an interrupt."""
+    """Whether an interrupt was handled."""
     return "taken" in interrupt.__dict__
 
 

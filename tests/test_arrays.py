@@ -16,7 +16,7 @@ from eos_pin._arrays import broadcast, frozen_copy, number, vector
 from eos_pin.errors import InputError
 
 
-def test_readonly_is_a_copy_that_nobody_can_write():
+def test_frozen_copy_cannot_be_written():
     original = np.arange(3)
     copy = frozen_copy(original)
     original[0] = 7
@@ -55,7 +55,7 @@ def test_real_numbers_of_every_kind_are_numbers(value, unchecked):
         (object(), "q must be numbers"),
     ],
 )
-def test_vector_refuses_and_says_why(values, says, unchecked):
+def test_vector_refuses_with_the_reason(values, says, unchecked):
     with pytest.raises(InputError) as caught:
         vector(values, 3, "q")
     assert says in str(caught.value)
@@ -76,7 +76,7 @@ def test_spread_takes_one_number_or_as_many_as_needed(unchecked):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 10**400, "a", None, [1.0, 2.0], 1j])
-def test_number_refuses_what_is_none(value, unchecked):
+def test_number_refuses_other_values(value, unchecked):
     with pytest.raises(InputError, match="period must be a"):
         number(value, "period")
 

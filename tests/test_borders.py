@@ -121,7 +121,7 @@ def uses():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("unchecked")
-def test_borders_check_what_is_assigned() -> None:
+def test_borders_check_assigned_values() -> None:
     calls, faults = 0, []
     for made, use in uses():
         own = [name for name, part in inspect.getmembers(type(made)) if getattr(part, "fset", None) is not None]

@@ -42,7 +42,7 @@ def test_error_survives_pickle_and_copy(error):
         assert use_compiled.__dict__ == error.__dict__
 
 
-def test_errors_are_also_what_python_would_raise():
+def test_errors_are_also_the_classes_python_would_raise():
     assert issubclass(errors.InputError, ValueError)
     assert issubclass(UnknownNameError, KeyError)
     assert not issubclass(UnknownNameError, errors.RobotError)
@@ -55,7 +55,7 @@ def test_missing_dependency_error_has_the_command_that_helps():
     assert (error.package, error.command) == ("cinema", "pip install cinema")
 
 
-def test_unknown_name_is_told_as_a_sentence_with_near_matches():
+def test_unknown_name_error_has_near_matches():
     error = UnknownNameError("frame", "panda_hand_tpc", ["panda_hand_tcp", "base"], "Or choose another.")
     assert str(error) == "no frame is named 'panda_hand_tpc'. Did you mean panda_hand_tcp? Or choose another."
     assert (error.kind, error.name) == ("frame", "panda_hand_tpc")

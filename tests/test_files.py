@@ -110,7 +110,7 @@ def test_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path) -
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_save_removes_what_a_killed_one_left_behind(tmp_path: Path) -> None:
+def test_save_removes_files_that_a_killed_one_left_behind(tmp_path: Path) -> None:
     path = tmp_path / "run[1].npz"
     # The process ends in the middle of a save, without a chance to clean up.
     write = "lambda file: (file.write(b'half'), os._exit(0))"

@@ -42,7 +42,7 @@ def motion(robot, path, limits, seed):
 
 
 @pytest.mark.usefixtures("unchecked", "busy")
-def test_threads_with_robots_of_their_own_compute_what_one_thread_does():
+def test_threads_with_robots_of_their_own_agree_with_one_thread():
     robot = eos_pin.load_robot("panda", chain_to="panda_hand_tcp")
     path = eos_pin.circle([0.4, 0.1, 0.5], 0.05, period=2.0)
     limits = eos_pin.JointLimits.from_robot(robot)

@@ -28,7 +28,7 @@ FEW = 4
 
 
 class Never:
-    """The class of no argument: the mark of one that is always looked at."""
+    """Mark of an argument that is checked in every call; it is a class that no object has."""
 
 
 class Check(NamedTuple):
@@ -60,7 +60,7 @@ def hint_of(annotation: Any, names: dict[str, Any]) -> Any:
 
 
 def check_of(name: str, hint: Any, default: Any, *, result: bool = False) -> Check | None:
-    """The check of one parameter, or of a result; None for what the function looks at by itself.
+    """The check of one parameter, or of a result; None for a parameter that the function checks itself.
 
     Of a result arrays need not be finite, and tuples have their length.
     """
@@ -106,7 +106,7 @@ def check_of(name: str, hint: Any, default: Any, *, result: bool = False) -> Che
 
 
 def _named_tuple(name: str, kind: Any, result: bool) -> Check:
-    """The check of a named tuple and of its parts, whatever their sizes."""
+    """The check of a named tuple and of its parts, of any sizes."""
 
     @functools.cache
     def checks() -> list[Check | None]:
@@ -195,7 +195,7 @@ def _array_mark(value: Any, sizes: Sequence[str], known: Sequence[Any]) -> Any:
 
 
 def size_of(size: str, known: Sequence[Any]) -> int | None:
-    """A size by its name: of the robot, the task or the chart among the arguments, or of what they have."""
+    """A size by its name, from the robot, the task or the chart among the arguments, or from their attributes."""
     for holder in known:
         found = getattr(holder, size, None)
         if isinstance(found, int):
@@ -238,7 +238,7 @@ def _one_of(value: Any, name: str, choices: Sequence[Any]) -> Any:
 
 
 def of_type(value: Any, name: str, *kinds: type) -> Any:
-    """The value itself.
+    """Accept a value of some classes, and return it unchanged.
 
     Raises:
         InputError: It is of none of these classes.

@@ -1,4 +1,4 @@
-"""Functions of the caller: what they raise or return that does not fit becomes an error that names them."""
+"""Functions of the caller: their exceptions and unfit results become errors that name the function."""
 
 from __future__ import annotations
 

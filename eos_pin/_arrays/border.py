@@ -123,7 +123,7 @@ class Accepted:
         return type(self), (self._names,)
 
     def remember(self, owner: Callable[[], Any], marks: dict[str, Any]) -> None:
-        """Keep the marks of an owner, of which a weak reference is given, beside those that it has."""
+        """Add marks to those of an owner, which is given as a weak reference."""
         known = [entry for entry in self._entries if entry[0]() is not None]
         before = next((marks for one, marks in known if one() is owner()), {})
         self._entries = [(owner, before | marks), *(entry for entry in known if entry[0]() is not owner())][:FEW]

@@ -79,7 +79,7 @@ def flat_model(model: pin.Model) -> FlatModel | None:
 
 
 def chain_arguments(model: pin.Model, parts: tuple[Part, ...]) -> tuple[Any, ...] | None:
-    """Arguments of the compiled `Chain`; None if a joint is of a kind that it does not know."""
+    """Arguments of the compiled `Chain`; None if a joint is of a kind that it does not have."""
     flat = flat_model(model)
     if flat is None:
         return None

@@ -155,7 +155,7 @@ class Kinematics:
         """
         Q, Z = self._states(Q), self._points(Z)
         if len(Z) not in (1, len(Q)):
-            raise InputError(f"there must be one task point for each of the {len(Q)} states, or one for all: {len(Z)}")
+            raise InputError(f"one task point is needed for each of the {len(Q)} states, or one for all; got {len(Z)}")
         least = self._none[0] if lower is None else np.ascontiguousarray(lower, dtype=float)
         largest = self._none[1] if upper is None else np.ascontiguousarray(upper, dtype=float)
         if least.shape != (self.n,) or largest.shape != (self.n,):
@@ -347,7 +347,7 @@ class Kinematics:
 
     @cached_property
     def _none(self) -> tuple[JointVector, JointVector]:
-        """Bounds that are none."""
+        """Infinite bounds, for joints without limits."""
         return np.full(self.n, -np.inf), np.full(self.n, np.inf)
 
     @cached_property

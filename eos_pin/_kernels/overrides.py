@@ -1,4 +1,4 @@
-"""The rule by which a short cut ends where a subclass goes its own way."""
+"""The rule that a short cut is not used in a subclass that overrides a method it replaces."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def stands_for(cls: type, shortcut: str, *methods: str, off: Any = None) -> None:
-    """Switch a short cut off in a subclass that overrides a method which the short cut stands for.
+    """Switch a short cut off in a subclass that overrides a method which the short cut replaces.
 
     A short cut is an attribute that gives in one step what the methods of its class give together: a compiled form, or
     numbers from which one is made. It is right for the class that defines it and for subclasses that leave the methods

@@ -100,7 +100,7 @@ class Frame:
 
 
 class AccelerationMap:
-    """Joint accelerations for commanded accelerations of (z, v) on one chart, wherever nothing fades.
+    """Joint accelerations for commanded accelerations of (z, v) on one chart, away from singularities.
 
     Args:
         Wt: Rows Wᵀ that make dv of dq, (r, n).
@@ -137,7 +137,7 @@ class AccelerationMap:
         return type(self), self._made_from
 
     def __call__(self, J: Jacobian, F: JointVector, dq: JointVector) -> tuple[int, JointVector, float]:
-        """Status, joint acceleration, and a lower bound of the chart's margin; the last two count where it is `DONE`.
+        """Status, joint acceleration, and a lower bound of the chart's margin; the last two are valid if it is `DONE`.
 
         Args:
             J: Jacobian G'(q).
@@ -148,7 +148,7 @@ class AccelerationMap:
         return self._solve(F, dq)
 
     def _solve(self, F: JointVector, dq: JointVector) -> tuple[int, JointVector, float]:
-        """The same for the Jacobian that stands in A."""
+        """The same for the Jacobian that is stored in A."""
         square = float(dq.dot(dq))
         if square > self._runaway:
             F, speed = F.copy(), math.sqrt(square)

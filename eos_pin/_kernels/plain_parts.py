@@ -48,7 +48,7 @@ class Viability:
 
 
 class Limits:
-    """Torque within all limits of the joints, for an acceleration that is asked for.
+    """Torque within all limits of the joints, for a commanded acceleration.
 
     Args:
         period: Control period [s].
@@ -99,7 +99,7 @@ class Limits:
         return type(self), self._made_from
 
     def _inner(self) -> tuple[JointVector, Array]:
-        """Middle of the q in a box of (q, dq, ddq, tau) surely far from all limits, and one divided by half its size.
+        """A box of (q, dq, ddq, tau) that is far from all limits: its middle in q, and the inverse of half its size.
 
         The bounds of the acceleration fall towards the limits, and with the speed towards them; so those in the corner
         of the box hold in all of it. Of n numbers whose fourth powers sum to less than 1/n the squares sum to less than
@@ -229,7 +229,7 @@ class ChangeProgram:
     def __call__(
         self, J: Jacobian, M: Float[Array, "n n"], lower: Float[Array, "2*n"], upper: Float[Array, "2*n"]
     ) -> tuple[int, JointVector]:
-        """Status and solution: `UNDECIDED` where a bound is passed at full price, `NO_ANSWER` beyond all reason.
+        """Status and solution: `UNDECIDED` if a bound is passed at the full price, `NO_ANSWER` if the solver failed.
 
         Args:
             J: Jacobian of the task.

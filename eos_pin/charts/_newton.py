@@ -55,7 +55,7 @@ def newton(
     tol: float,
     max_iterations: int,
 ) -> Inverse:
-    """Solve z = G(base − U u) for u; Eq. (22). It ends early where the residual grows, with whatever it has.
+    """Solve z = G(base − U u) for u; Eq. (22). If the residual grows, it ends early and returns the last point.
 
     Args:
         task: The task.
@@ -177,7 +177,7 @@ class Postures:
         self.robot, self.left, self.seed = robot, count, seed
 
     def __call__(self, count: int) -> Float[Array, "K n"]:
-        """So many more, or those that are left."""
+        """Draw `count` more postures, or as many as are left."""
         count = min(count, self.left)
         self.left -= count
         return self._random.uniform(*self._ends, (count, self.robot.n))

@@ -69,7 +69,7 @@ class Atlas(Checked):
         object.__setattr__(self, "metric", checked_metric(self.metric, self.task.robot))
         number(self.threshold, "threshold", above=0.0)
         if self.threshold >= 1.0:
-            raise InputError(f"threshold must be below 1, where charts end at once; got {self.threshold}")
+            raise InputError(f"threshold must be above 0 and below 1, got {self.threshold}")
 
     def describe(self) -> dict[str, Any]:
         """Description in plain values, for records of runs."""
@@ -247,7 +247,7 @@ def inverse_kinematics(task: Task, z: PointLike, q0: JointsLike, **options: Any)
 
 
 class _Traveller:
-    """Where a walk through the atlas stands: the chart, the joints, and how much work they took."""
+    """State of a walk through the atlas: the chart, the joints, and the work so far."""
 
     def __init__(self, atlas: Atlas, chart: Chart, q: JointVector, tol: float) -> None:
         self.atlas, self.tol = atlas, tol

@@ -81,7 +81,7 @@ class Directions(Checked):
 
     @checked
     def is_near(self, q: JointVector) -> bool:
-        """Whether q, not unwrapped, is so near to the base point that `room` is left for certain."""
+        """Whether q, not unwrapped, is certainly so near to the base point that `room` is positive."""
         far = q - self.q_bar
         return bool(far.dot(far) < TURN**2)
 
@@ -224,14 +224,14 @@ class Directions(Checked):
 
     @checked
     def system(self, J: Jacobian, F: JointVector) -> tuple[Array, Array, JointVector | None]:
-        """A and b of A x = b; x is the acceleration that `F` asks for, for many joints its part beside V F_v.
+        """Linear system for the joint acceleration that `F` commands: ddq is A⁻¹b, or V F_v + U A⁻¹b for many joints.
 
         Args:
             J: Jacobian G'(q).
             F: Acceleration of w = (z, v), the task's part without its drift, (n,).
 
         Returns:
-            A, b, and V F_v; without the last, x is all.
+            A, b, and V F_v; the last is None where ddq is A⁻¹b.
         """
         n, m = self.U.shape
         if n <= DENSE_SOLVE:
@@ -243,7 +243,7 @@ class Directions(Checked):
 
     @cached_property
     def _stacked(self) -> Float[Array, "n n"]:
-        """Workspace for [G'; Wᵀ], where G' is filled in, in the order LAPACK wants."""
+        """Workspace for [G'; Wᵀ] in LAPACK's order, in which G' is filled in."""
         return np.asfortranarray(np.vstack((self.U.T, self.W.T)))
 
     # -- the same without checks, for inner loops ----------------------------------------------------------------------

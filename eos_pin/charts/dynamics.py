@@ -88,7 +88,7 @@ class ExtendedDynamics:
 
     @checked
     def acceleration(self, tau: JointVector, task_force: TaskVector | None = None) -> JointVector:
-        """Ddw = H⁻¹(M⁻¹(R + F^y + G'ᵀF^z) − E), without forming H, M or E; Eq. (30), corrected.
+        """Acceleration ddw = H⁻¹(M⁻¹(R + F^y + G'ᵀF^z) − E), without forming H, M or E; Eq. (30), corrected.
 
         Args:
             tau: Joint torques F^y [N m or N].

@@ -1,4 +1,4 @@
-"""Metrics of charts: symmetric positive matrices A that say which directions count as orthogonal at a base point.
+"""Metrics of charts: symmetric positive matrices A that define orthogonal directions at a base point.
 
 The identity makes the charts of the paper. The mass matrix makes charts that are inertially decoupled at the base
 point.
@@ -84,7 +84,7 @@ class Weights:
                 A = frozen_copy(_symmetric(called("the function of a metric", metric, q), robot.n))
                 return cls(A, _factor(A))
             except InputError as error:
-                raise FunctionError(f"the function of a metric returned none: {error}") from None
+                raise FunctionError(f"the function of a metric returned no metric: {error}") from None
         A = frozen_copy(robot._mass(q) if isinstance(metric, str) else _symmetric(metric, robot.n))
         return cls(A, _factor(A))
 

@@ -15,7 +15,7 @@ FOLDER = Path("runs")
 
 
 def demo(robot: tyro.conf.Positional[str] = "panda", html: Path | None = None) -> int:
-    """See redundancy in a minute: one hand rests while its elbow moves, beside an elbow that nobody commands.
+    """See redundancy in a minute: one hand rests while its elbow moves, beside an elbow without a command.
 
     On the left the hand holds a point while the elbow sweeps its loop, under EOS control. On the right a circle is
     followed under traditional control: the hand comes back, the elbow does not. The page is one file that works

@@ -1,4 +1,4 @@
-"""The command `eos-pin info`: what a robot is, what can be done with it, and what cannot, with the reason."""
+"""The command `eos-pin info`: a robot's properties, its abilities, and the reasons for those that it lacks."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Findings:
 
 
 def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output = Output()) -> int:
-    """Describe a robot: joints, limits, frames, redundancy for a task, what to try, and what cannot be done.
+    """Describe a robot: joints, limits, frames, redundancy for a task, advice, and abilities that it lacks.
 
     For example:
 

@@ -255,13 +255,13 @@ def print_files(files: Sequence[Path]) -> None:
 
 
 def say_notes(*made: Robot | Trajectory | Task | JointLog) -> None:
-    """Print the notes of robots, paths, tasks and logs on the error stream: choices, changes, what is missing."""
+    """Print the notes of robots, paths, tasks and logs on the error stream: choices, changes, missing parts."""
     for note in (note for each in made for note in each.notes):
         stderr.print(f"Note: {note}", markup=False, soft_wrap=True)
 
 
 def warn_of_gravity(robot: Robot, q: JointVector) -> None:
-    """Say on the terminal where gravity takes more torque than there is.
+    """Warn on the terminal if gravity needs more torque than the joints have.
 
     Args:
         robot: The robot.
@@ -328,7 +328,7 @@ def run_table(summary: Mapping[str, Any]) -> Table:
 
 
 def guarded(command: Callable[[], int]) -> int:
-    """Exit code of a command; bad input and Ctrl-C are told in one paragraph."""
+    """Exit code of a command; bad input and Ctrl-C are reported in one paragraph."""
     spell_output()
     try:
         with patient_interrupts():

@@ -218,7 +218,7 @@ def plan(
     output: Output = Output(),
     save: Annotated[Path | None, tyro.conf.arg(name="plan")] = None,
 ) -> int:
-    """Plan joints along a whole task path: continuous, within limits, clear of what is in the way, closed if asked.
+    """Plan joints along a whole task path: continuous, within limits, clear of obstacles, closed on request.
 
     Exit code 0: planned; 1: refused, with the reason, or stopped; 2: bad input. Files go where --plan, --json, --csv,
     --html, --plot or --out say.

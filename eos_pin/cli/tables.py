@@ -17,7 +17,7 @@ NARROW = 10
 
 
 def format_number(value: float | None) -> str:
-    """Number for a person: three digits, a dash if there is none."""
+    """Number with three digits; a dash if there is none."""
     return "-" if value is None or math.isnan(value) else f"{value:.3g}"
 
 

@@ -1,4 +1,4 @@
-"""Output on terminals that cannot show every letter: what they lack is spelled in ASCII, and nothing fails."""
+"""Output on terminals that cannot show every letter: letters they lack are spelled in ASCII, without an error."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SPELLING = str.maketrans(
 
 
 def spell(text: str) -> str:
-    """The text in ASCII: marks and letters as people write them there, lines as -, | and +, the rest as code points."""
+    """The text in ASCII: marks and letters in their usual spelling, lines as -, | and +, the rest as code points."""
     return "".join(char if char.isascii() else _letter(char) for char in text.translate(_SPELLING))
 
 

@@ -49,7 +49,7 @@ def track(
     plan: Path | None = None,
     scene: Path | None = None,
 ) -> int:
-    """Make a robot follow a path under EOS control; print, save and replay what happened.
+    """Make a robot follow a path under EOS control; print, save and replay the run.
 
     Files go to runs/ROBOT-TASK unless --out says otherwise: run.npz, summary.json, replay.html, overview.png.
 

@@ -126,7 +126,7 @@ class AccelerationMap:
     def tracking_law(
         self, kp: TaskVector, kd: TaskVector, kp_v: SelfMotionVector, kd_v: SelfMotionVector, v_d: SelfMotionVector
     ) -> Any:
-        """This, and `EosController.asked` for self-motion that is held at v_d, in one kernel; None where there is none.
+        """Compiled kernel of the control law with constant v_d and the regularization; None if it is not available.
 
         Args:
             kp: Gain on the task error, (m,).
@@ -166,14 +166,14 @@ class AccelerationMap:
         return lifted + chart.u_basis.dot(B.dot(F[:m] - J.dot(lifted)))
 
     def _braked(self, F: JointVector, dq: JointVector) -> JointVector:
-        """F, with self-motion of joints that are about to run away braked."""
+        """F with braking of the self-motion, if the joints are about to run away."""
         speed, m = math.sqrt(dq.dot(dq)), self.chart.m
         if not self.smooth or speed <= OVERSPEED:
             return F
         return np.concatenate((F[:m], F[m:] - OVERSPEED_DAMPING * (speed - OVERSPEED) * self.chart._dv(dq)))
 
     def _near_singularity(self, J: Jacobian, F: JointVector, dq: JointVector, lead: Lead = lambda: None) -> JointVector:
-        """The acceleration where the kernel has none; directions of the task fade."""
+        """Joint acceleration near a singularity, where the kernel has none and directions of the task fade."""
         # A trial state of an integrator may be beyond all numbers; the torque says so.
         if not (math.isfinite(J.sum()) and math.isfinite(dq.dot(dq))):
             return np.full(self.chart.n, math.nan)
@@ -182,7 +182,7 @@ class AccelerationMap:
         return self._faded(J, self._braked(F, dq), dq, lead())
 
     def _faded(self, J: Jacobian, F: JointVector, dq: JointVector, a: JointVector | None) -> JointVector:
-        """The acceleration where the task may be singular."""
+        """Joint acceleration where the task may be singular."""
         chart = self.chart
         m, Q = chart.m, chart.u_basis
         Y, c = damped_system(J / self._units[:, None], F[:m] / self._units, dq, a)

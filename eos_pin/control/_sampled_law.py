@@ -37,7 +37,7 @@ class SelfTargets:
     def acceleration(
         self, t: float, robot: Robot, chart: Chart, q: JointVector, u: JointVector, before: Any
     ) -> SelfMotionVector:
-        """Acceleration asked of v over the period.
+        """Commanded acceleration of v over the period.
 
         Args:
             t: Time of the step [s].
@@ -107,5 +107,5 @@ class MiddleOfPeriod:
         return t + h, q + h * (dq + 0.5 * h * ddq), dq + h * ddq
 
     def held(self, tau: JointVector) -> None:
-        """Take note of the torque of this period."""
+        """Store the torque of this period."""
         self._before, self._last = (tau if self._last is None else self._last), tau

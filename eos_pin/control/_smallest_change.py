@@ -1,4 +1,4 @@
-"""`SmallestChange`: the quadratic program behind `LimitedEosController`, and who pays where not all limits can be kept.
+"""`SmallestChange`: the quadratic program behind `LimitedEosController`, and the order in which it gives limits up.
 
 Torques are bounded. As long as some torques keep all joints within their bounds of acceleration, the program finds
 them. Where none do, joints are lost by a fixed rule. A joint that no torques at all keep within its bounds is hopeless:
@@ -55,7 +55,7 @@ MOST = 1e6
 
 
 class SmallestChange:
-    """Smallest change of acceleration that keeps all limits, and that the task feels only where it must.
+    """Smallest change of acceleration that keeps all limits, and that affects the task only where nothing else helps.
 
     It is the Δ that minimizes ½|Δ|² + Σ(TASK_PRICE t + ½ TASK_WEIGHT t²) + Σ(LIMIT_PRICE w + ½ LIMIT_WEIGHT w²) where
     |JΔ| ≤ t, least − w ≤ Δ ≤ most + w, and MΔ is within the torques. Prices are due from the first bit on, so t and w

@@ -90,7 +90,7 @@ class Controller(Checked, ABC):
 
     @checked
     def validity(self, t: float, q: JointVector, dq: JointVector, state: Any) -> float:
-        """Positive while `memory` serves; where it crosses zero a driver stops and calls `update`."""
+        """Function that is positive while `memory` is valid; at its zero a driver stops and calls `update`."""
         return 1.0
 
     @checked
@@ -150,7 +150,7 @@ class Controller(Checked, ABC):
 
     @checked
     def task_deficit(self, t: float, q: JointVector, dq: JointVector, state: Any) -> TaskVector | None:
-        """Task acceleration that the law asks for and the torque does not bring, (m,); None where it is not known."""
+        """Commanded task acceleration less the one that the torque causes, (m,); None if it is not known."""
         return None
 
     @checked
@@ -165,14 +165,14 @@ class Controller(Checked, ABC):
 
     @checked
     def holding_torque(self, q: JointVector) -> JointVector:
-        """Torque at rest from which a soft start begins: that of gravity, as the controller knows it [N m or N]."""
+        """Torque at rest from which a soft start begins: that of gravity, by the controller's own model [N m or N]."""
         return np.zeros(q.size) if self.robot is None else self.robot._gravity(q)
 
     @checked
     def broken_limits(
         self, t: Vector, q: Float[Array, "T n"], dq: Float[Array, "T n"], tau: Float[Array, "T n"]
     ) -> str:
-        """Sentence about limits that the controller was to keep and a run passed; empty where it passed none.
+        """Sentence about limits that the controller should keep and a run exceeded; empty if there are none.
 
         Args:
             t: Times [s], (T,).
@@ -331,7 +331,7 @@ class TaskController(Controller):
         return self._model._gravity(q)
 
     def task_deficit(self, t: float, q: JointVector, dq: JointVector, state: Any) -> TaskVector:
-        """Task acceleration that the law asks for and the torque does not bring, by the controller's own model.
+        """Commanded task acceleration less the one that the torque causes, by the controller's own model.
 
         Zero to rounding where the controller does all it is asked; see `EosController` and `LimitedEosController` for
         where it does not.

@@ -104,7 +104,7 @@ class EosController(TaskController):
         if name == "smooth":
             return truth(value, name)
         if name == "atlas" and of_type(value, "the atlas", Atlas).task is not self.task:
-            raise InputError("the atlas of an EosController must be of the controller's own task object")
+            raise InputError("the atlas must be made of the controller's own task object: atlas=Atlas(task)")
         if name == "self_motion" and hasattr(self, name):
             of_type(value, "the self-motion", Objective).check(self.robot.n, self.robot.n - self.task.m)
         return super()._accepted(name, value)
@@ -120,7 +120,7 @@ class EosController(TaskController):
         return self._memory(chart, 0)
 
     def take_over(self, t: float, q: JointVector, dq: JointVector, state: Any) -> EosState:
-        """As for any controller; but for the same task on the same robot the chart stays, and with it what v means."""
+        """Memory from that of another controller; for the same task on the same robot the chart, and so v, stays."""
         if not isinstance(state, EosState) or (
             state.chart.task is not self.task
             and (state.chart.task.robot, state.chart.task.describe()) != (self.robot, self.task.describe())
@@ -150,12 +150,12 @@ class EosController(TaskController):
 
     @checked
     def compiled_law(self, drive: AccelerationMap) -> Any:
-        """`asked` and `drive` in one, compiled; None without, and where a law or its target is of another kind."""
+        """Compiled kernel of `asked` and `drive`; None if there is none for this law or its target."""
         held = self.self_motion._held_law(drive.chart.r)
         return None if held is None else drive.tracking_law(self.kp, self.kd, *held)
 
     def _current(self, state: EosState) -> EosState:
-        """The same memory, made anew where it was made of other gains or another target than there are now."""
+        """The same memory, made anew if gains or targets have changed since it was made."""
         if state.made_of is self._version:
             return state
         if state.chart.task is not self.task:
@@ -174,7 +174,7 @@ class EosController(TaskController):
         return self._within(q, dq, ddq, J)[0]
 
     def _drive(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> tuple[JointVector, float, Jacobian]:
-        """H F* + E, a bound of the chart's margin, and G'; near a singularity as `AccelerationMap` bounds it."""
+        """H F* + E, bounded near singularities by `AccelerationMap`, a bound of the chart's margin, and G'."""
         more = None if state.carried is None else state.left(t, dq)
         if state.law is not None:
             z_d, dz_d, ddz_d = self.reference(t)
@@ -199,7 +199,7 @@ class EosController(TaskController):
     def _within(
         self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
     ) -> tuple[JointVector, JointVector]:
-        """M ddq − R, Eq. (35), and what limits change in ddq on average over a period; nothing here."""
+        """Torque M ddq − R, Eq. (35), and the mean change of ddq that limits make in a period; none here."""
         return self._model._inverse_dynamics(q, dq, ddq), self._unchanged
 
     def task_deficit(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> TaskVector:
@@ -279,4 +279,4 @@ class EosController(TaskController):
 
 
 def _no_law(self: EosController, drive: AccelerationMap) -> None:
-    """No compiled law: that of a subclass counts."""
+    """None in place of the compiled law, in a subclass with a law of its own."""

@@ -132,7 +132,7 @@ class FollowJoints(Objective):
         if away > self.within:
             raise PlanError(
                 f"the joints are {away:.3g} rad or m away from those to follow; up to {self.within:g} the law leads "
-                "there, from further away it may come to rest on another component of the self-motion. Join them first "
+                "there; from further away the robot may stop on another component of the self-motion. Join them first "
                 "with journey(plan, q), or allow more with `within`"
             )
 

@@ -1,4 +1,4 @@
-"""From where a robot stands onto a plan: a motion along the manifold first, then the plan."""
+"""Journeys to a plan from other joints: a motion along the manifold first, then the plan."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ class KinematicLoop:
     ) -> None:
         self._period, self._jump, self._most_lag = control_period, jump, most_lag
         if atlas is not None and atlas.task is not task:
-            raise InputError("the atlas of a KinematicLoop must be of the loop's own task object")
+            raise InputError("the atlas must be made of the loop's own task object: atlas=Atlas(task)")
         self.task, self.robot, self.atlas = task, task.robot, atlas or Atlas(task)
         self._smallest, self._eye = SmallestChange(task.m, task.robot.n), np.eye(task.robot.n)
         self.pace: float = 1.0
@@ -205,7 +205,7 @@ class KinematicLoop:
 
     @property
     def task_deficit(self) -> TaskVector | None:
-        """Task acceleration that the last command does not bring though it was asked for, (m,) [m/s², rad/s²].
+        """Task acceleration that the law commanded and the last command does not cause, (m,) [m/s², rad/s²].
 
         Zero to rounding where the task is done as it should be; None before the first step.
         """
@@ -271,7 +271,7 @@ class KinematicLoop:
         return KinematicState(t, q, rest, q, z, on, np.zeros(self.task.m), False, 0.0, z, z, None)
 
     def _ordinary(self, t: float, q: VectorLike, state: KinematicState) -> KinematicState | None:
-        """State after the step at time t where nothing is out of the ordinary; None where `_next` is to look."""
+        """State after the step at time t in the ordinary case; None if `_next` has to compute it."""
         on, h, pace = state.on, self._period, state.pace
         if on.law is None or on.made_of is not self._version or pace != self.pace or not isinstance(t, float):
             return None

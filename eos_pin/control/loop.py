@@ -1,4 +1,4 @@
-"""`ControlLoop`: a controller in a control loop of your own, with a watch on what goes in and what comes out."""
+"""`ControlLoop`: a controller in a control loop of your own, with checks of states and torques."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ class ControlLoop:
         return tau
 
     def task_deficit(self, t: float, q: VectorLike, dq: VectorLike) -> TaskVector | None:
-        """Task acceleration that is asked for in a state and that a step there does not bring, (m,).
+        """Task acceleration that the law commands in a state and a step there does not cause, (m,).
 
         Zero to rounding where the task is done as it should be; it takes as long as a step, so ask when it matters.
         None before the first step, and for a controller that does not know it.
@@ -229,7 +229,7 @@ class ControlLoop:
         return np.minimum(np.maximum(tau, -self._limits), self._limits) if self.saturated else tau
 
     def _look(self, t: float, q: JointVector, dq: JointVector) -> JointVector:
-        """Start a run, or see whether a state that is not as usual can be used; one that is refused leaves no trace.
+        """Start a run, or decide whether an unusual state can be used; a refused one changes nothing.
 
         Returns:
             The joints, not wrapped.
@@ -310,7 +310,7 @@ class Ramp:
         self._since = math.nan
 
     def __call__(self, t: float, q: JointVector, tau: JointVector) -> tuple[JointVector, bool]:
-        """The torque instead of the one asked for, and whether the rate holds it back.
+        """The torque to apply instead of the commanded one, and whether the limit of its rate changed it.
 
         Args:
             t: Time [s].
@@ -341,13 +341,13 @@ class Ramp:
 
 
 def _sum(q: Any, more: JointVector) -> JointVector | None:
-    """Q + more; None where they do not fit each other."""
+    """Sum of two arrays; None if they do not fit each other."""
     return q + more if isinstance(q, np.ndarray) and q.shape == more.shape and q.dtype == more.dtype else None
 
 
 @use_compiled
 class StateMonitor:
-    """Keeps the last state of a loop, and sees whether the next one follows it as is usual.
+    """Last state of a loop, and the decision whether the next one follows it as is usual.
 
     Args:
         t: Time of the last state [s].

@@ -40,7 +40,7 @@ from eos_pin.trajectories.base import Hold, Target, Trajectory
 
 @runtime_checkable
 class Renewed(Protocol):
-    """A controller that makes the parts anew that it has made of an objective."""
+    """Protocol of a controller that can renew the parts it has made of an objective."""
 
     def renew(self) -> None:
         """Make them anew at the next torque."""
@@ -56,7 +56,7 @@ class Objective(Checked, ABC):
     @abstractmethod
     @checked
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        """Self-motion acceleration F_v that it asks for, (r,)."""
+        """Commanded self-motion acceleration F_v, (r,)."""
 
     @checked
     def target(self, t: float, r: int) -> Target | None:

@@ -35,7 +35,7 @@ from eos_pin.trajectories.base import Trajectory
 
 
 class NullSpaceLaw(Checked, ABC):
-    """A torque F⁰ that acts where the task does not feel it, through Nᵀ.
+    """A torque F⁰ that acts through Nᵀ, and so does not accelerate the task.
 
     Attributes:
         compensates: Whether Coriolis and gravity torques are also compensated in the null space. The paper's control

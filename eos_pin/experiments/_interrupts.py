@@ -1,4 +1,4 @@
-"""Ctrl-C that comes where it can be dealt with, and that ends the command whoever catches it."""
+"""Ctrl-C at places where it can be handled, so that it ends the command even if a library catches it."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def _imports(frame: FrameType | None) -> bool:
 
 
 def _is_handled(interrupt: KeyboardInterrupt) -> bool:
-    """Whether an interrupt is on its way: files are closed and processes ended for it, or for what followed it."""
+    """Whether an interrupt is being handled: files are closed and processes ended because of it."""
     error = sys.exc_info()[1]
     while error is not None and error is not interrupt:
         error = error.__context__

@@ -1,4 +1,4 @@
-"""Sensible defaults for a robot nobody has described: a posture to start from, and a path that it can follow."""
+"""Defaults for any robot: a posture to start from, and a path that it can follow."""
 
 from __future__ import annotations
 
@@ -143,9 +143,9 @@ def fitting_path(
         raise InputError(f"{task!r} has no coordinates of length to draw a path in; use the shape 'hold'")
     if regularity(task, q) < PASSABLE and (size is None or plane is None):
         raise InputError(
-            f"no path is clear of singularities at this posture: some direction of {task!r} moves by less than "
-            f"{PASSABLE:.1%} of the robot's reach, or of a radian, when a joint turns by one. Count fewer axes, take "
-            "another frame, or start elsewhere"
+            f"no path is clear of singularities at this posture: the smallest singular value of {task!r} is below "
+            f"{PASSABLE:g}, with lengths as parts of the robot's reach. Count fewer axes, take another frame, or start "
+            "elsewhere"
         )
     tried = [number(size, "the size of the path", above=0.0)] if size is not None else sizes(task.robot)
     periods = PERIODS if period is None else (number(period, "the period", above=0.0),)
@@ -246,8 +246,8 @@ def make_task(
     sigma = max((_sigma(task, q) for q in _postures(robot)), key=min)
     if sigma[-1] < STUCK:
         raise InputError(
-            f"{task!r} has {task.m} coordinates, but the {robot.n} joints of {robot.name!r} move only "
-            f"{int((sigma >= STUCK).sum())} of them independently, in no posture more. Choose fewer axes, another kind "
+            f"{task!r} has {task.m} coordinates, but the {robot.n} joints of {robot.name!r} can move only "
+            f"{int((sigma >= STUCK).sum())} of them independently, in any posture. Choose fewer axes, another kind "
             "of task, or another frame"
         )
     return task
@@ -298,7 +298,7 @@ def _sigma(task: Task, q: JointVector) -> Array:
 
 
 def _range(robot: Robot, i: int) -> tuple[float, float]:
-    """Positions of joint i worth a try: within its limits, and not far from zero."""
+    """Positions of joint i to try: within its limits, and not far from zero."""
     far = robot.reach if robot.joints[i].kind == "prismatic" else math.pi
     near = float(np.clip(0.0, robot.lower[i], robot.upper[i]))
     return max(float(robot.lower[i]), near - far), min(float(robot.upper[i]), near + far)
@@ -336,7 +336,7 @@ def _merit(task: Task, q: JointVector, floor: float) -> float:
 
 
 def _heights(robot: Robot, q: JointVector) -> Array:
-    """Heights of the joints against gravity [m]; zeros where gravity does not say which way is down."""
+    """Heights of the joints against gravity [m]; zeros without gravity."""
     down = robot.model.gravity.linear
     if not abs(down[2]) > 0.9 * np.linalg.norm(down) > 0.0:
         return np.zeros(1)

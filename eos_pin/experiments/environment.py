@@ -116,7 +116,7 @@ class SelfMotionEnv(gymnasium.Env[Vector, Vector]):
         super().reset(seed=seed)
         options = options or {}
         if options.keys() - {"q"} or (options and self.path is not None):
-            raise InputError(f"an episode has the option 'q', and none along a path; got {sorted(options)}")
+            raise InputError(f"an episode has only the option 'q', and along a path none; got {sorted(options)}")
         self.q: JointVector = self.robot.posture(vector(options.get("q", self._start), self.robot.n, "q"))
         self._count = 0
         self.chart: Chart = self._atlas.start(self.q)

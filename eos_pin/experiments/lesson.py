@@ -1,4 +1,4 @@
-"""One lesson on redundancy: a hand that stays where it is while the elbow moves, and an elbow nobody commands."""
+"""One lesson on redundancy: a hand that stays where it is while the elbow moves, and an elbow without a command."""
 
 from __future__ import annotations
 

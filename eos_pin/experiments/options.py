@@ -1,4 +1,4 @@
-"""A run in plain values: groups of options, as the command line has them, and what each makes of them."""
+"""A run in plain values: groups of options, as the command line has them, and the objects that they make."""
 
 from __future__ import annotations
 
@@ -217,7 +217,7 @@ class ControlOptions:
         if self.controller == "eos":
             return EosController(task, reference, law, kp=self.kp, kd=self.kd, atlas=atlas)
         if period is None:
-            raise InputError("limits are kept from one sample to the next; add --control-rate 1000")
+            raise InputError("a controller that keeps limits needs a sampled run; add --control-rate 1000")
         return LimitedEosController(task, reference, law, control_period=period, kp=self.kp, kd=self.kd, atlas=atlas)
 
     def _law(self, task: Task, reference: Trajectory, q: JointVector) -> Objective:

@@ -110,7 +110,7 @@ def path_from_csv(
 
 
 def task_point(task: Task, values: VectorLike, q: JointVector) -> Point:
-    """Task point from the numbers that a person writes.
+    """Task point from numbers, in any of the usual forms.
 
     Args:
         task: The task.

@@ -1,4 +1,4 @@
-"""Many closed-loop runs at once: a run in plain values, all combinations of some settings, one table of what happened.
+"""Many closed-loop runs at once: a run in plain values, all combinations of some settings, one table of results.
 
     rows = sweep(trials(robot=["panda", "xarm7"], kp=[50, 100], seed=range(5)), folder="runs/gains", jobs=2)
 
@@ -95,7 +95,7 @@ def sweep(
 
 @contextmanager
 def _unhearing_children() -> Iterator[None]:
-    """Start processes that do not hear Ctrl-C, which a terminal sends to all of them: the first one ends the others."""
+    """Start processes that ignore Ctrl-C, which a terminal sends to all of them: the first process ends the others."""
     if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -109,7 +109,7 @@ def _unhearing_children() -> Iterator[None]:
 
 
 def write_table(rows: Sequence[Row], path: str | Path) -> Path:
-    """Write rows as a table, .csv or .parquet by the name of the file. What is not a number is left empty.
+    """Write rows as a table, .csv or .parquet by the name of the file. NaN is left empty.
 
     Raises:
         InputError: The name ends otherwise, or there is nothing to write.
@@ -151,7 +151,7 @@ def _columns(rows: Sequence[Row]) -> list[str]:
 
 
 def _attempt(trial: Trial) -> tuple[str, Row]:
-    """Key and figures of a run, whatever becomes of it."""
+    """Key and figures of a run, also of one that fails."""
     try:
         figures = trial.figures(uninterrupted(trial.run()))
     except Exception as error:  # one run that fails must not end the others
@@ -175,7 +175,7 @@ def _write(path: Path, settings: Row, figures: Row) -> None:
 
 
 def _cells(row: Row) -> Row:
-    """The same in types that every table has: a list stands as on the command line, what is not a number is None."""
+    """The same in types that every table has: a list is written as on the command line, NaN is None."""
     return {name: _cell(value) for name, value in row.items()}
 
 

@@ -84,7 +84,7 @@ def equations_agree(runs: Runs) -> list[Claim]:
 
 
 def traditional_drifts(runs: Runs, section: str = "5.1") -> list[Claim]:
-    """Claims of Sec. 5.1 and 6.1, and what posture control makes of them."""
+    """Claims of Sec. 5.1 and 6.1, and the same with posture control."""
     plain, posture = runs["task-space"], runs["null-space-posture"]
     least, settled = _drift(plain, smallest=True), _drift(posture, since=1)
     return [

@@ -61,7 +61,7 @@ class Experiment(ABC):
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop(Experiment):
-    """A controller on the robot it knows, in continuous time.
+    """A controller on the robot of its own model, in continuous time.
 
     Attributes:
         robot: The robot.

@@ -69,7 +69,7 @@ class Application:
         return frozen_copy(period * np.arange(round(self.cycles * period * self.rate) + 1) / round(period * self.rate))
 
     def run(self, *, avoiding: bool = True) -> Result:
-        """Follow the path: with v making way, or with v constant, to see what that is good for."""
+        """Follow the path: with v making way, or with v constant, for comparison."""
         start, cpu = time.perf_counter(), time.process_time()
         atlas = Atlas(self.task)
         if avoiding:

@@ -1,4 +1,4 @@
-"""`plan`: joints along a whole task path, within limits and clear of what is in the way, or the reason why not."""
+"""`plan`: joints along a whole task path, within limits and clear of obstacles, or the reason why there are none."""
 
 from __future__ import annotations
 

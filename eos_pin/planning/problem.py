@@ -1,4 +1,4 @@
-"""The problem that a plan solves: which joints are allowed at a task point, which steps between two, at what cost."""
+"""The problem that a plan solves: allowed joints at task points, allowed steps between them, and their cost."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ def draw_legend(ax: Axes, columns: int) -> None:
 
 
 def draw_nothing(ax: Axes, why: str) -> None:
-    """Say why there is nothing to draw."""
+    """Write the reason why nothing is drawn."""
     ax.text(0.5, 0.5, why, transform=ax.transAxes, ha="center", va="center", color="#808080")
     ax.set_axis_off()
 

@@ -78,7 +78,7 @@ def listed(names: list[str], most: int = 8) -> str:
 
 
 def find_frame(model: pin.Model, name: str) -> int:
-    """Index of a frame; a link before a joint of the same name, because that is what a person means.
+    """Index of a frame; a link comes before a joint of the same name.
 
     Raises:
         UnknownNameError: There is no such frame; Pinocchio itself would silently answer with the frame count.

@@ -1,4 +1,4 @@
-"""`JointMap`: joints in the order and by the names of somebody else's messages."""
+"""`JointMap`: joints in the order and by the names of messages."""
 
 from __future__ import annotations
 

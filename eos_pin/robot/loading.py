@@ -73,7 +73,7 @@ class Tool:
 @checked
 @dataclass(frozen=True, eq=False)
 class Payload:
-    """A body to add: what the robot carries.
+    """A body to add, which the robot carries.
 
     Attributes:
         mass: Mass [kg].
@@ -184,7 +184,7 @@ def leaf_frames(robot: Robot) -> tuple[str, ...]:
 
 @checked
 def default_frame(robot: Robot) -> str:
-    """The frame a person most likely means: what the chain was loaded to, or where the longest arm ends."""
+    """The frame that is most likely meant: the end of the loaded chain, or of the longest arm."""
     return str(robot.options.get("chain_to") or default_frame_of(robot.model, robot.mimics))
 
 
@@ -336,7 +336,7 @@ def _check_joints(urdf: Urdf, locked: Mapping[str, float], *, is_chain: bool) ->
 
 
 def _build(urdf: Urdf, root: etree._Element) -> pin.Model:
-    """Pinocchio's model of a checked description; what could spoil it and concerns only shapes is not part of it."""
+    """Pinocchio's model of a checked description, without shapes, which could be damaged."""
     bare = copy.deepcopy(root)
     etree.strip_elements(bare, "visual", "collision", "material", with_tail=False)
     with quiet() as said:
@@ -357,7 +357,7 @@ def _add_frame(model: pin.Model, name: str, parent: str, placement: pin.SE3, ine
 
 
 def _pose(value: pin.SE3 | VectorLike | Sequence[Sequence[float]]) -> Float[Array, "4 4"]:
-    """A pose as matrix, from any of the forms people have it in."""
+    """A pose as matrix, from any accepted form."""
     if isinstance(value, pin.SE3):
         return frozen_copy(value.homogeneous)
     matrix = as_floats(value, "a placement")

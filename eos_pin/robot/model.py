@@ -123,7 +123,7 @@ class Robot(Angles):
             if not path:
                 raise RobotError(
                     f"joint {self.model.names[i]!r} of robot {self.name!r} belongs to a branch that was numbered "
-                    "before another one: Pinocchio's mass matrix would be wrong without a word. Add the joints of each "
+                    "before another one: Pinocchio's mass matrix would be wrong. Add the joints of each "
                     "branch to the model before those of the next, as loading a URDF does"
                 )
             path.append(i)
@@ -225,7 +225,7 @@ class Robot(Angles):
 
     @cached_property
     def _dynamics(self) -> pin.Data:
-        """The same workspace for dynamics; whoever asks for it first has the inertia checked."""
+        """The same workspace for dynamics; its first use checks the inertia."""
         self.check_dynamics()
         return self._data
 
@@ -356,7 +356,7 @@ class Robot(Angles):
 
     @checked
     def perturbed(self, *, mass: float = 0.0, com: float = 0.0, inertia: float = 0.0, seed: int = 0) -> Robot:
-        """Copy with a random model error, to be the plant of a controller that does not know it.
+        """Copy with a random model error, to be the plant of a controller whose model has no error.
 
         It has no `source`: no file describes it.
 
@@ -396,5 +396,5 @@ def _limit(values: Array, absent: float) -> JointVector:
 
 
 def _bound(values: Array) -> JointVector:
-    """Limits of magnitude; a zero in a URDF says that nobody filled it in."""
+    """Limits of magnitude; a zero in a URDF means that none is given."""
     return frozen_copy(np.where((np.abs(values) >= 1e30) | (values <= 0.0), np.inf, values))

@@ -1,4 +1,4 @@
-"""Notes for people: what loading a robot changed, could not find, or found odd; each kind is one sentence."""
+"""Notes on a loaded robot: changes, missing parts and odd numbers; each kind is one sentence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Collects the samples of a run, and turns whatever ends it into a `Result`."""
+"""Collection of a run's samples, and the `Result` made of them however the run ends."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ Observer: TypeAlias = Callable[[float, JointVector], None]
 
 
 class Stop(Exception):  # noqa: N818 - an ending, not an error
-    """Ends a run with a status and a message."""
+    """End of a run, with a status and a message."""
 
     def __init__(self, status: str, message: str) -> None:
         self.status, self.message = status, message
@@ -66,7 +66,7 @@ class _Row(NamedTuple):
 
 
 class Recorder:
-    """Collects samples, and how the run ended."""
+    """Samples of a run, and the way it ended."""
 
     def __init__(self, system: System, times: Vector, arguments: dict[str, Any], observer: Observer | None) -> None:
         check_run(system.plant.n, len(times), float(times[-1]), system.controller.reference)
@@ -107,7 +107,7 @@ class Recorder:
 
     @contextmanager
     def until_it_ends(self) -> Iterator[None]:
-        """Turn whatever ends the run early into a status and a message; before the first sample it is raised."""
+        """Turn an exception that ends the run into a status and a message; before the first sample it is raised."""
         try:
             yield
         except (Stop, EosError, KeyboardInterrupt) as ending:
@@ -119,7 +119,7 @@ class Recorder:
             self.status, self.message = _ending(ending, self._rows[-1].t)
 
     def result(self) -> Result:
-        """The run as a value; what follows from the state is computed here, out of the loop's way."""
+        """Build the `Result`. Quantities that follow from the recorded states are computed here, after the run."""
         controller, plant = self.system.controller, self.system.plant
         t, q, dq, ddq, tau, work, *_ = zip(*self._rows, strict=True)
         cpu, wall = time.process_time() - self._clock, time.perf_counter() - self._wall
@@ -258,7 +258,7 @@ def _ending(ending: BaseException, t: float) -> tuple[str, str]:
 
 
 def uninterrupted(result: Result) -> Result:
-    """The result itself; an interrupt that ended the run is raised once more, for what runs many or writes files.
+    """The result unchanged; an interrupt that ended the run is raised again, to end the sweep or the command as well.
 
     Raises:
         KeyboardInterrupt: The run was interrupted.

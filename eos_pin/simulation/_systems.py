@@ -106,7 +106,7 @@ class System(ABC):
 
     @abstractmethod
     def switch_function(self, t: float, x: Vector) -> float:
-        """Crosses zero where `switch` is due."""
+        """Function that crosses zero where `switch` is due."""
 
     @abstractmethod
     def switch(self, t: float, x: Vector) -> Vector:

@@ -1,4 +1,4 @@
-"""`Result`: what a run was and what happened in it.
+"""`Result`: the samples, the outcome and the origin of a run.
 
 A result is arrays over time and plain provenance, nothing that has to be unpickled. It saves to one `.npz`, and
 re-checks itself from its raw arrays, whoever produced them.
@@ -109,7 +109,7 @@ class Result:
             if array.ndim != (1 if name in _VECTORS else 2):
                 raise InputError(f"{name} of a result must be a {'vector' if name in _VECTORS else 'table'}")
             if name != "switches" and len(array) != rows:
-                raise InputError(f"a result needs as many rows of {name} as times: {len(array)} against {rows}")
+                raise InputError(f"a result needs as many rows of {name} as times, {rows}; got {len(array)}")
             object.__setattr__(self, name, array)
         for name in ("labels", "units"):
             words = tuple(map(str, getattr(self, name)))
@@ -181,7 +181,7 @@ class Result:
 
     @property
     def deficit_rows(self) -> Bool[Array, " T"]:
-        """Where part of the task was given up, to keep limits or because it was singular."""
+        """Rows in which part of the task was given up, to keep limits or because it was singular."""
         return (np.abs(self.task_deficit) > TASK_DEFICIT).any(axis=1)
 
     @property

@@ -1,4 +1,4 @@
-"""Balls that points of a robot never leave, whatever the joints within limits."""
+"""Balls that points of a robot never leave while the joints are within limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tasks: what the robot must do, as a smooth function z = G(q) of its joints, Eq. (1).
+"""Tasks: coordinates of the motion to be controlled, smooth functions z = G(q) of the joints, Eq. (1).
 
 A point z is always a flat array. For a position or a centre of mass it is the vector itself; for an orientation it
 is the rotation matrix row by row (9 numbers), for a pose the position followed by it (12). `minus` and `plus` are
@@ -186,7 +186,7 @@ class Task(Checked, ABC):
         return _task_point((self._compute_point(data), J, J.dot(dq), self._compute_drift(data)))
 
     def _matrix(self, J: Array) -> Jacobian:
-        """J itself; with one joint, Pinocchio's bindings make a vector of what should be a column."""
+        """J as a matrix; with one joint, Pinocchio's bindings return a vector instead of a column."""
         return J if J.ndim == 2 else J[:, None]
 
     # -- the hooks, and what they may read ---------------------------------------------------------------------------
@@ -385,7 +385,7 @@ class Task(Checked, ABC):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for people about a choice of task: that it leaves no redundancy."""
+        """Notes on the choice of a task, such as one that leaves no redundancy."""
         none = f"{self!r} takes all {self.m} joints (r = 0): there is no self-motion, and laws for it change nothing"
         return (none,) if self.m == self.robot.n else ()
 

@@ -170,7 +170,7 @@ class ToleranceTask(Task, kind="tolerance"):
         return self.tracked._minus(self._seen(z1), self._seen(z0))
 
     def plus(self, z: Point, delta: TaskVector) -> Point:
-        """Point that is tracked a step further; what is not tracked stays, and a rotation turns the shortest way."""
+        """Point a step further in the tracked coordinates; the others stay, and a rotation turns the shortest way."""
         ahead = z.copy()
         places = len(self.whole.axes)
         kept = [i for i in range(places) if i not in self._places]

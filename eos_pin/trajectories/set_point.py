@@ -148,7 +148,7 @@ class SetPoint(Trajectory):
         """Plan the motion for an order, from the target at its time or the latest one that was asked for."""
         t = number(t, "the time of an order")
         if t < self._motions[-1].t:
-            raise InputError(f"the order at {t:g} s comes after one at {self._motions[-1].t:g} s")
+            raise InputError(f"orders must not go back in time: got {t:g} s after {self._motions[-1].t:g} s")
         # An order that comes between two steps counts from the time for which a command went out already.
         if not late:
             t = max(t, self._asked)

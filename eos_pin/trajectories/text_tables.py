@@ -1,4 +1,4 @@
-"""Text tables as people and programs write them: cells of every row, whatever separates them, and their numbers."""
+"""Text tables: the cells of every row, with any of the usual separators, and their numbers."""
 
 from __future__ import annotations
 

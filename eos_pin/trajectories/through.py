@@ -222,7 +222,7 @@ def read_path(
     corners: Corners = "smooth",
     blend: float | None = None,
 ) -> WaypointPath | Geodesic:
-    """Path of a task from way points in a file or a text; `z` gives what its columns do not.
+    """Path of a task from way points in a file or a text; `z` gives the coordinates without columns.
 
     Args:
         path: File or text for `read_waypoints`.

@@ -50,7 +50,7 @@ _UNIT = re.compile(r"\s*(?:[\[(]\s*(?P<bracket>[^\])]*?)\s*[\])]|_(?P<suffix>s|m
 @by_value
 @dataclass(frozen=True, eq=False)
 class Waypoints:
-    """A table of way points; what no column gives is None.
+    """A table of way points; parts without columns are None.
 
     Attributes:
         source: The file.
@@ -118,7 +118,7 @@ def read_waypoints(path: str | Path) -> Waypoints:
         _check_names(names, f"{path}, line {first[0]}")
         rows = rows[1:]
     if not rows:
-        raise InputError(f"{path}, line {first[0]}: nothing follows the names of the columns")
+        raise InputError(f"{path}, line {first[0]}: no row follows the names of the columns; add the way points")
     width = len(names or rows[0][1])
     if names is None:
         names = ("t", *(f"z{i}" for i in range(1, width)))
@@ -205,7 +205,7 @@ def _written(text: str) -> Waypoints:
 
 
 def _name(cell: str, where: str) -> str:
-    """Name of a column as `KNOWN` has it, from one as people write it."""
+    """Name of a column as `KNOWN` has it, from any of its spellings."""
     text = cell.strip().lower()
     unit = _UNIT.search(text)
     words = re.split(r"[._/\s]+", text[: unit.start()] if unit else text)

@@ -164,7 +164,7 @@ def _solid(
 
 
 def _own_color(mesh: Any) -> Color | None:
-    """Colour that a mesh file gives to a piece, averaged over a texture; None if the file says nothing."""
+    """Colour that a mesh file gives to a piece, averaged over a texture; None if the file has none."""
     if not mesh.visual.defined:
         return None
     if mesh.visual.kind == "texture":

@@ -229,7 +229,7 @@ def _path(name: str, points: Array) -> Array:
 
 
 def _store(blocks: list[bytes], values: Array, kind: str) -> dict[str, Any]:
-    """Append an array to the binary part; says where it is, in bytes from the end of the header."""
+    """Append an array to the binary part; its place is returned in bytes from the end of the header."""
     array = np.ascontiguousarray(values, dtype=np.dtype(kind).newbyteorder("<"))
     start = sum(map(len, blocks))
     data = array.tobytes()

@@ -1,4 +1,4 @@
-"""Seeing a motion: a stand-alone HTML file, and a live view in the browser.
+"""Views of a motion: a stand-alone HTML file, and a live view in the browser.
 
 Both are the same page (`player.html`), drawn by meshcat's JavaScript. meshcat's own server is not used: it listens on
 every network interface and is another process that may outlive the script.
@@ -145,7 +145,7 @@ class Viewer:
         self._server.send(MOTION, _message(MOTION, times, poses), final=True)
 
     def close(self) -> None:
-        """Stop the server; browsers keep what they have."""
+        """Stop the server; browsers keep the motion that they have."""
         self._server.close()
 
     def __enter__(self) -> Viewer:

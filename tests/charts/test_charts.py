@@ -267,7 +267,7 @@ def test_long_step_finds_the_connected_solution(panda, name, size):
     assert found >= 3
 
 
-def test_walking_reaches_what_newton_alone_does_not(panda):
+def test_walking_reaches_points_where_newton_alone_fails(panda):
     """Targets half a metre away: walking finds all that Newton's method finds in one go, and more."""
     task, random = every_task(panda)["position xyz"], np.random.default_rng(0)
     chart = Chart.from_base(task, HOME)
@@ -392,7 +392,7 @@ def test_margin_of_the_ppr_robot_has_its_closed_form(ppr, base, turn):
     assert np.linalg.cond(np.vstack((edge, chart.V.T))) > 1e14
 
 
-def test_edge_of_a_chart_and_a_singular_task_are_told_apart(chain):
+def test_edge_of_a_chart_is_distinguished_from_a_singular_task(chain):
     """On the edge the Jacobian has full rank, but a direction orthogonal to all rows of the base point's."""
     chart = Chart.from_base(every_task(chain)["position xy"], checks.random_state(chain)[0])
     J = np.array([chart.V[:, 0], chart.U[:, 1]])
@@ -581,7 +581,7 @@ def test_walk_visits_points_of_the_straight_line_and_ends_exactly_at_the_goal(pa
 
 
 @given(wall=st.floats(0.0, 0.999))
-def test_walk_says_how_far_it_came(panda, wall):
+def test_walk_reports_the_part_of_the_way_done(panda, wall):
     task = every_task(panda)["position xyz"]
     z, v = np.zeros(3), np.zeros(4)
     reached = charts.walk(task, (z, v), (z + 1.0, v), lambda z, _: z[0] <= wall)

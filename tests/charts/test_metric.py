@@ -275,7 +275,7 @@ def test_bad_metric_is_refused(panda, metric, message):
         with pytest.raises(InputError, match=message):
             make()
     if not isinstance(metric, str):
-        with pytest.raises(FunctionError, match="returned none"):
+        with pytest.raises(FunctionError, match="returned no metric"):
             Atlas(task, metric=lambda q: metric).start(HOME)
 
 

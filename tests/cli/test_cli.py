@@ -98,7 +98,7 @@ def test_track_bears_pushes_friction_and_missed_periods() -> None:
 
 
 @pytest.mark.usefixtures("quick_pictures")
-def test_track_takes_a_path_from_a_file_and_tells_what_is_out_of_reach() -> None:
+def test_track_takes_a_path_from_a_file_and_names_points_out_of_reach() -> None:
     Path("path.csv").write_text("t,x,y,z\n0,0.45,0,0.7\n2,0.45,0.2,0.6\n4,0.4,0,0.6\n")
     assert figures("track", "panda", "--path", "path.csv")["task_error_max"] < 1e-6
     Path("far.csv").write_text("0,0.45,0,0.7\n2,1,0,0.6\n")
@@ -109,7 +109,7 @@ def test_track_takes_a_path_from_a_file_and_tells_what_is_out_of_reach() -> None
     assert far["duration"] > 0.1
 
 
-def test_compare_tells_controllers_apart() -> None:
+def test_compare_shows_the_difference_of_controllers() -> None:
     words = ["--controllers", "eos", "null-space-posture", "set-point", "--period", "2", "--cycles", "2"]
     found = figures("compare", "panda", *words, "--plot", "comparison.pdf")
     assert list(found) == ["eos", "null-space-posture", "set-point"]
@@ -166,7 +166,7 @@ def test_ik_takes_poses_as_people_write_them() -> None:
     assert figures("ik", "panda", "--task", "pose", "--to", *place)["task_error_max"] < 1e-8
 
 
-def test_info_says_what_a_robot_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_describes_a_robot(capsys: pytest.CaptureFixture[str]) -> None:
     found = figures("info", "kinova", "--task", "pose", "--html", "robot.html")
     assert (found["n"], found["m"], found["r"]) == (6, 6, 0)
     assert {joint["kind"] for joint in found["joints"]} == {"continuous", "revolute"}
@@ -180,7 +180,7 @@ def test_info_warns_of_a_singular_start(capsys: pytest.CaptureFixture[str]) -> N
     assert "Warning" in capsys.readouterr().out
 
 
-def test_robots_lists_names() -> None:
+def test_robots_command_lists_names() -> None:
     found = {robot["name"] for robot in figures("robots")["robots"]}
     assert {"panda", "ppr", "planar_chain_10", "xarm7"} <= found
 

@@ -66,14 +66,14 @@ def test_info_names_links_without_inertia(capsys):
     assert "l1, l2, l3, l4, l5" in capsys.readouterr().err
 
 
-def test_info_tells_that_a_task_takes_all_joints(capsys):
+def test_info_reports_a_task_that_takes_all_joints(capsys):
     said, found = described(capsys, arm(6), "--task", "pose")
     assert found["r"] == 0
     assert "there is no self-motion to command" in said
     assert "Try: eos-pin track arm.urdf --task pose" in said
 
 
-def test_info_tells_that_a_task_does_not_fit(capsys):
+def test_info_reports_a_task_that_does_not_fit(capsys):
     said, found = described(capsys, arm(4), "--task", "pose", "--html", "arm.html", "--plot", "arm.png")
     assert list(found["cannot"]) == ["task"]
     assert "No such task: PoseTask" in said
@@ -82,7 +82,7 @@ def test_info_tells_that_a_task_does_not_fit(capsys):
     assert Path("arm.png").exists()
 
 
-def test_info_tells_that_no_joint_moves_a_frame(capsys):
+def test_info_reports_a_frame_that_no_joint_moves(capsys):
     # The one joint turns about the line on which all frames lie.
     said, found = described(capsys, arm(1))
     assert list(found["cannot"]) == ["task"]

@@ -98,7 +98,7 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     [(1, False), (2, True), (2, False)],
     ids=["one process", "as a terminal does", "to the first process only"],
 )
-def test_sweep_ends_and_keeps_what_is_finished(command, jobs: int, whole_group: bool) -> None:
+def test_sweep_ends_and_keeps_finished_runs(command, jobs: int, whole_group: bool) -> None:
     words = ["sweep", "ppr", "--size", "0.05", "--cycles", "1", "--jobs", str(jobs), "--period"]
     finished = Path("runs/sweep/finished")
     swept = command(*words, f"1,2,{LONG},{LONGER}")

@@ -38,7 +38,7 @@ def test_selfmotion_lists_equilibria_at_a_task_point(capsys: pytest.CaptureFixtu
     assert Path("potential.png").stat().st_size > 10_000
 
 
-def test_explore_writes_a_page_and_says_where(capsys: pytest.CaptureFixture[str]) -> None:
+def test_explore_writes_a_page_and_prints_its_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explore", "ppr"]) == 0
     said = capsys.readouterr()
     page = Path("runs/explore-ppr-position.html")
@@ -58,7 +58,7 @@ def test_explore_writes_a_page_and_says_where(capsys: pytest.CaptureFixture[str]
         ("demo ur5", "the lesson is for a robot with one joint more"),
     ],
 )
-def test_commands_of_the_self_motion_refuse_what_has_none(
+def test_commands_of_the_self_motion_refuse_tasks_without_any(
     words: str, told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words.split()) == 2

@@ -54,7 +54,7 @@ def test_bytes_of_a_file_name_pass_as_they_came():
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-8"])
-def test_tables_are_laid_out_by_what_is_shown(encoding, monkeypatch):
+def test_tables_are_laid_out_by_the_text_shown(encoding, monkeypatch):
     monkeypatch.setattr(Terminal, "encoding", encoding)
     stream = io.TextIOWrapper(io.BytesIO(), encoding, SPELLED)
     terminal = Terminal(file=stream, width=70, highlight=False, emoji=False)

@@ -357,7 +357,7 @@ def test_control_loop_starts_softly(panda: Robot, task: PositionTask) -> None:
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_soft_start_without_gravity_or_robot_begins_at_zero_or_as_told(panda: Robot, task: PositionTask) -> None:
+def test_soft_start_without_gravity_or_robot_begins_at_zero_or_as_given(panda: Robot, task: PositionTask) -> None:
     """A robot that compensates gravity by itself is given none at the start; of an unknown robot nothing is known."""
     loop = ControlLoop(EosController(task, Hold(task.value(REST)), gravity=False), torque_rate=100.0)
     np.testing.assert_allclose(loop.step(0.0, REST, np.zeros(7)), 0.0, atol=1e-12)

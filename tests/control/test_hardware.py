@@ -173,7 +173,7 @@ def test_states_that_cannot_be_used_are_borne_for_a_while(panda: Robot) -> None:
     assert connection.stops == 1
 
 
-def test_weight_that_nobody_or_both_would_carry_is_refused(panda: Robot) -> None:
+def test_gravity_that_is_compensated_twice_or_not_at_all_is_refused(panda: Robot) -> None:
     loop, clock, _ = paced(panda)
     report = Runner(Recorded(panda, compensates_gravity=True), loop, clock=clock).run(0.1)
     assert "gravity=False" in report.message

@@ -138,7 +138,7 @@ def test_velocity_box_brings_a_joint_to_its_end_and_no_farther():
         assert q > 1.0 - 1e-3
 
 
-def test_kinematic_loop_stays_bounded_out_of_reach_and_tells_the_deficit(panda):
+def test_kinematic_loop_stays_bounded_out_of_reach_and_reports_the_deficit(panda):
     task = PositionTask(panda, HAND)
     loop = KinematicLoop(
         task, type(task.hold(REST))(task.value(REST) + np.array([2.0, 0.0, 0.0])), control_period=0.002

@@ -70,7 +70,7 @@ def test_limited_controller_equals_eos_without_active_limits(panda, task, limits
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 1e-2]))
-def test_whatever_is_chosen_within_the_bounds_no_limit_is_passed(limits, seed, period):
+def test_accelerations_within_their_bounds_pass_no_limit(limits, seed, period):
     """A joint driven by the worst choices, to one bound and the other, stays viable for ever."""
     random = np.random.default_rng(seed)
     q, dq = 0.9 * limits.lower + 0.1 * limits.upper, np.zeros(7)

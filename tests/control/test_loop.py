@@ -61,7 +61,7 @@ def test_jump_is_refused_once_and_believed_when_it_stays(loop: ControlLoop) -> N
     loop.step(1.002, elsewhere + 0.4, np.full(7, 0.4))
 
 
-def test_torques_are_cut_at_the_limits_and_say_so(panda: Robot) -> None:
+def test_torques_are_cut_at_the_limits_and_the_loop_reports_it(panda: Robot) -> None:
     task = PositionTask(panda, "panda_hand_tcp")
     far = Hold(task.value(REST) + np.array([5.0, 0.0, 0.0]))
     loop = ControlLoop(EosController(task, far, kp=1e4))

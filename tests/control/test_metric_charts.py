@@ -71,7 +71,7 @@ def test_gradients_go_along_the_columns_and_velocities_along_the_rows(panda, met
 
 
 @metrics
-def test_both_errors_decay_as_designed_in_any_metric(panda, metric):
+def test_controller_errors_decay_as_designed_in_any_metric(panda, metric):
     """ε̈ + 20 ε̇ + 100 ε = 0 for task and self-motion apart, on one chart."""
     task = PositionTask(panda, tip(panda))
     z, v_d = task.value(READY) + 0.01, np.array([0.02, -0.02, 0.01, 0.03])
@@ -117,7 +117,7 @@ def test_torque_goes_on_where_charts_of_a_metric_change(panda):
     np.testing.assert_allclose(after, before, atol=1e-8)
 
 
-def test_saved_runs_know_the_metric_and_the_coupling(panda, tmp_path):
+def test_saved_runs_have_the_metric_and_the_coupling(panda, tmp_path):
     task = PositionTask(panda, tip(panda))
     controller = EosController(task, Hold(task.value(READY)), atlas=Atlas(task, metric="inertial"))
     run = Result.load(simulate(panda, controller, READY, duration=0.1).save(tmp_path / "run.npz"))

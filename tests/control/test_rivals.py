@@ -225,7 +225,7 @@ def test_hierarchy_of_dynamic_consistency_keeps_the_task_free(case):
         np.testing.assert_allclose(case.J @ ddq, case.asked(), atol=1e-6 * np.abs(ddq).max())
 
 
-def test_hierarchy_refuses_what_does_not_fit(case):
+def test_hierarchy_refuses_a_second_task_that_does_not_fit(case):
     made = {"task": case.task, "reference": case.path, "posture": case.rest}
     with pytest.raises(InputError, match="structure"):
         HierarchyController(**made, structure="parallel")
@@ -303,7 +303,7 @@ def perturbed(robot, error, seed):
     return robot.perturbed(mass=error, com=error, inertia=error, seed=seed)
 
 
-def test_sliding_mode_bound_covers_what_wrong_models_change(case):
+def test_sliding_mode_bound_covers_the_effect_of_wrong_models(case):
     # The force on w of a wrong model, by the robots themselves and not by the regressor.
     controller = SlidingModeController(case.task, case.path, model_error=0.2)
     state = controller.start(case.t, case.rest, 0.0 * case.dq)
@@ -353,7 +353,7 @@ def test_sliding_mode_stands_the_model_error_it_is_made_for():
         assert np.abs(other.error)[-50:].max() > 2.0 * error[-50:].max()
 
 
-def test_sliding_mode_refuses_what_does_not_fit():
+def test_sliding_mode_refuses_arguments_that_do_not_fit():
     case = Case("panda", 1)
     with pytest.raises(InputError, match="Track"):
         SlidingModeController(case.task, case.path, Posture(REST))

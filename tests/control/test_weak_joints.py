@@ -187,7 +187,7 @@ def test_joints_keep_their_bounds_beside_one_that_spins(compiled: bool) -> None:
 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("compiled", [True, False])
-def test_held_torque_keeps_all_bounds_whatever_is_asked(compiled: bool) -> None:
+def test_held_torque_keeps_all_bounds_at_any_command(compiled: bool) -> None:
     """There is torque enough for every joint."""
     robot = load_robot("kinova", chain_to="auto")
     task = PositionTask(robot, str(robot.options["chain_to"]))
@@ -205,7 +205,7 @@ def test_held_torque_keeps_all_bounds_whatever_is_asked(compiled: bool) -> None:
         assert np.maximum(mean - most, least - mean).max() < 0.03
 
 
-def test_joint_is_kept_whatever_accelerations_of_lighter_ones_that_takes():
+def test_joint_is_kept_at_the_cost_of_lighter_ones():
     M = np.array([[1.0, -1e-3], [-1e-3, 1e-4]])
     # The first joint needs 12 rad/s²; of 3 N m it gets 3, so the second, lost one must turn at 9000 rad/s².
     lower, upper = np.array([12.0, -100.0, -3.0, -1.0]), np.array([50.0, 100.0, 3.0, 1.0])

@@ -91,7 +91,7 @@ def same(one: object, other: object, tolerance: float = 1e-9) -> None:
     np.testing.assert_allclose(one, other, rtol=0.0, atol=tolerance * size)  # type: ignore[arg-type]
 
 
-def test_robot_knows_which_joints_are_continuous(swivel: Robot) -> None:
+def test_robot_lists_its_continuous_joints(swivel: Robot) -> None:
     assert swivel.continuous.tolist() == TURNING.tolist()
     assert [joint.kind for joint in swivel.joints] == list(KINDS)
     model = pin.Model()

@@ -378,7 +378,7 @@ def test_planar_pose_has_axes(ppr) -> None:
     assert make_task(ppr, "pose", axes="x").m == 2
 
 
-def test_task_of_all_joints_is_told(ur5) -> None:
+def test_task_of_all_joints_is_reported(ur5) -> None:
     task = make_task(ur5, "pose")
     q = rest_posture(task)
     run = simulate(ur5, EosController(task, Hold(task.value(q), task.m)), q, duration=0.05)
@@ -406,7 +406,7 @@ class Open(Falling):
     task = reference = None
 
 
-def test_controller_of_ones_own_without_task_or_reference_is_told(panda) -> None:
+def test_own_controller_without_task_or_reference_is_reported(panda) -> None:
     task = make_task(panda)
     q = rest_posture(task)
     runs = [simulate(panda, controller, q, duration=0.02) for controller in (Falling(), Aimless(task), Open())]

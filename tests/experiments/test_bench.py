@@ -114,7 +114,7 @@ def test_gains_with_about_equal_errors_are_those_with_the_least_drift(monkeypatc
     assert found == {("panda", "eos"): (16.0, 2.0)}
 
 
-def test_page_says_where_eos_is_not_the_best():
+def test_page_lists_settings_where_eos_is_not_the_best():
     base = np.linspace(0.001, 0.002, 12)
     table = rows({"eos": base, "acceleration": 0.5 * base}) + rows({"eos": base, "acceleration": base}, "noise")
     text = page(table, "the command", "figure.png")
@@ -124,7 +124,7 @@ def test_page_says_where_eos_is_not_the_best():
     assert "48 runs" in text
 
 
-def test_bench_refuses_what_it_does_not_know(tmp_path):
+def test_bench_refuses_unknown_names(tmp_path):
     with pytest.raises(UnknownNameError, match="gauss"):
         harness.bench(["panda"], laws=["gaus"], folder=tmp_path)
     with pytest.raises(UnknownNameError, match="friction"):

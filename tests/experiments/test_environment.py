@@ -36,7 +36,7 @@ def test_environment_along_a_path_passes_the_checks_of_gymnasium(along):
     assert along.action_space.shape == (4,)
 
 
-def test_environment_keeps_path_and_limits_whatever_the_actions(along, task):
+def test_environment_keeps_path_and_limits_at_any_action(along, task):
     along.reset(seed=3)
     along.action_space.seed(3)
     robot, over = task.robot, False
@@ -59,7 +59,7 @@ def test_environment_refuses_actions_beyond_joint_limits(task):
     assert ((q >= task.robot.lower) & (q <= task.robot.upper)).all()
 
 
-def test_rates_move_task_and_self_motion_by_what_they_say(task):
+def test_rates_move_task_and_self_motion_by_their_integral(task):
     env = SelfMotionEnv(task, q0=Q, control_period=0.1, task_rate=0.2, self_motion_rate=0.5)
     env.reset(seed=0)
     z, v, chart = env.z, env.v, env.chart
@@ -69,7 +69,7 @@ def test_rates_move_task_and_self_motion_by_what_they_say(task):
     np.testing.assert_allclose(env.v - v, [0.0, 0.05, 0.0, 0.0], atol=1e-9)
 
 
-def test_same_seed_gives_the_same_episode(task):
+def test_environment_repeats_an_episode_with_the_same_seed(task):
     env, seen = SelfMotionEnv(task, control_period=0.1), []
     for _ in range(2):
         env.reset(seed=5)

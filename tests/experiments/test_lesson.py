@@ -79,7 +79,7 @@ def test_lesson_page_has_both_robots(taught: Lesson, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_demo_tells_what_its_page_shows(taught: Lesson, tmp_path: Path, monkeypatch, capsys) -> None:
+def test_demo_prints_the_figures_of_its_page(taught: Lesson, tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.setattr("eos_pin.experiments.lesson.lesson", lambda robot: taught)
     assert main(["demo", "--html", str(tmp_path / "lesson.html")]) == 0
     said = " ".join(capsys.readouterr().out.split())

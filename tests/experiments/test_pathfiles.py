@@ -58,7 +58,7 @@ def test_path_of_poses_goes_through_its_rows(arm, tmp_path):
     assert path.duration == 3.0
 
 
-def test_path_of_a_pose_keeps_what_no_column_gives(arm, tmp_path):
+def test_path_of_a_pose_keeps_coordinates_without_columns(arm, tmp_path):
     task = PoseTask(arm, tip(arm))
     z0 = task.value(Q)
     path = path_from_csv(written(tmp_path, rows("t,z,x,y", [0.0, 1.0, 2.0], PLACES[:, [2, 0, 1]])), task, Q)
@@ -67,7 +67,7 @@ def test_path_of_a_pose_keeps_what_no_column_gives(arm, tmp_path):
     np.testing.assert_allclose(path(1.0).z, [*z0[:3], *from_angles(ANGLES)[1].ravel()], atol=1e-13)
 
 
-def test_path_of_orientations_says_that_positions_do_not_count(arm, tmp_path):
+def test_path_of_orientations_reports_positions_as_unused(arm, tmp_path):
     text = rows("t,x,y,z,roll,pitch,yaw", [0.0, 1.0, 2.0], PLACES, ANGLES)
     path = path_from_csv(written(tmp_path, text), OrientationTask(arm, tip(arm)), Q)
     np.testing.assert_allclose(path(1.0).z, from_angles(ANGLES)[1].ravel(), atol=1e-13)
@@ -84,7 +84,7 @@ def test_path_without_names_is_in_the_order_of_a_task_point(arm, tmp_path):
     np.testing.assert_allclose(path(1.0).z, task_point(turn, ANGLES[1], Q), atol=1e-13)
 
 
-def test_path_of_a_planar_pose_takes_the_short_way_and_says_so(planar, tmp_path):
+def test_path_of_a_planar_pose_takes_the_short_way_and_reports_it(planar, tmp_path):
     task = StackedTask([PositionTask(planar, tip(planar), "xy"), HeadingTask(planar, tip(planar))])
     q = np.full(10, 0.1)
     x, y, _ = task.value(q)
@@ -123,7 +123,7 @@ def test_path_that_does_not_fit_the_task_is_refused(arm, tmp_path, text, kind, t
     assert "path.csv" in str(error.value)
 
 
-def test_path_along_fewer_axes_says_which_column_does_not_count(arm, tmp_path):
+def test_path_along_fewer_axes_names_the_unused_column(arm, tmp_path):
     path = path_from_csv(
         written(tmp_path, rows("t,x,y,z", [0.0, 1.0, 2.0], PLACES)), PositionTask(arm, tip(arm), "xz"), Q
     )

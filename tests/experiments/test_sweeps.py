@@ -147,7 +147,7 @@ def test_another_file_or_kind_of_trial_has_another_key(tmp_path):
 # -- sweeps --------------------------------------------------------------------------------------------------------
 
 
-def test_row_is_what_a_run_by_hand_gives():
+def test_row_equals_a_run_by_hand():
     (row,) = sweep(trials(**SHORT, kp=64.0, model_error=0.1, seed=3))
     robot = load_robot("ppr", chain_to="auto")
     task = PositionTask(robot, robot.options["chain_to"], "xy")
@@ -287,7 +287,7 @@ def test_table_of_another_kind_is_refused(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_figure_leaves_out_what_failed():
+def test_figure_leaves_out_failed_runs():
     rows = failing()
     figure = plot_sweep(rows, ["size"])
     assert [ax.get_xlabel() for ax in figure.axes] == ["size"] * 4

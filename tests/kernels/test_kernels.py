@@ -92,7 +92,7 @@ def test_difference_of_orientations_is_exact_near_zero_and_near_pi(panda):
             np.testing.assert_allclose(found, step, atol=1e-7 if angle > 3.1 else 1e-14)
 
 
-def test_projection_finds_what_the_plain_search_finds(any_robot):
+def test_projection_agrees_with_the_plain_search(any_robot):
     for name, task in every_task(any_robot).items():
         if "com" in name:
             continue
@@ -153,7 +153,7 @@ def test_projection_refuses_wrong_numbers_of_points(panda):
         task.kinematics.project(np.zeros((3, 7)), np.zeros(12), lower=np.zeros(3))
 
 
-def test_search_from_what_is_not_finite_finds_nothing(panda):
+def test_search_from_numbers_that_are_not_finite_finds_nothing(panda):
     task = PositionTask(panda, "panda_hand_tcp")
     found = task.kinematics.project(np.full((1, 7), np.nan), np.zeros(3))
     assert not found.found.any()

@@ -202,7 +202,7 @@ def test_printed_distance_repels_from_below_and_a_negative_one_from_above(unchec
 
 
 @pytest.mark.parametrize("options", [{"cycles": 0}, {"offset": 0.0}, {"damping": -1.0}, {"offset": math.nan}])
-def test_examples_refuse_what_cannot_be_run(options):
+def test_examples_refuse_settings_that_cannot_be_run(options):
     with pytest.raises(InputError):
         paper.obstacle(**options)
 
@@ -243,7 +243,7 @@ def test_posture_control_of_the_chain_repeats_but_for_a_turn_of_one_joint(runs):
 
 
 @pytest.mark.slow
-def test_reproduce_checks_every_claim_and_the_readme_has_what_is_measured(
+def test_reproduce_checks_every_claim_and_the_readme_has_the_measurements(
     runs, tmp_path, monkeypatch, capsys, unchecked
 ):
     monkeypatch.setattr(reproduce, "simulate", lambda label, name, rtol: runs[label][name])
@@ -276,7 +276,7 @@ def test_claim_compares_one_number_with_one_bound():
         assert not Claim("1", "not measured", math.nan, 1.0, at_least).holds
 
 
-def test_table_shows_what_is_the_same_everywhere():
+def test_claim_table_has_digits_that_are_the_same_everywhere():
     small, ratio, failed = (
         Claim("1", "a", 3e-13, 1e-9),
         Claim("2", "b", 0.12345, 1.0, digits=3),

@@ -44,7 +44,7 @@ def load(name):
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_script_runs_and_writes_what_it_says(name, capsys):
+def test_script_runs_and_writes_the_files_it_names(name, capsys):
     words, first = QUICK[name]
     assert run(load(name).main, [*words, "--json", "figures.json"]) == 0
     printed = capsys.readouterr().out
@@ -66,7 +66,7 @@ def test_out_collects_run_replay_figure_and_numbers(capsys):
     assert Path("files/figure.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_run_that_ends_early_says_so_and_returns_1(capsys):
+def test_run_that_ends_early_reports_it_and_returns_1(capsys):
     words = ["--cycles", "2", "--l", "2", "--plot", "figure.pdf"]
     assert run(load("example_5_4_obstacle").main, words) == 1
     assert "ran away" in capsys.readouterr().out

@@ -76,7 +76,7 @@ def test_component_is_exact_at_any_arc_length(pose):
         assert component.locate(component.at(0.4)).distance <= 1e-9
 
 
-def test_components_are_the_same_whatever_the_seed(pose):
+def test_components_are_the_same_with_any_seed(pose):
     for q in poses(pose, 2, seed=3):
         z = pose.value(q)
         lengths = [

@@ -353,7 +353,7 @@ def test_plan_without_redundancy_is_found():
     assert found.info["joint_step_max"] < 0.2
 
 
-def test_interrupt_before_any_motion_is_told(task):
+def test_plan_reports_an_interrupt_before_any_motion(task):
     def stop(what, part):
         raise KeyboardInterrupt
 
@@ -450,7 +450,7 @@ def test_plan_command_writes_figures_and_joints(tmp_path):
     assert csv.read_text().startswith("t,panda_joint1")
 
 
-def test_plan_command_tells_a_refusal_and_bad_input(tmp_path, capsys):
+def test_plan_command_reports_a_refusal_and_bad_input(tmp_path, capsys):
     from eos_pin.cli.main import main
 
     scene = tmp_path / "scene.yaml"
@@ -500,7 +500,7 @@ def test_replay_of_a_tracked_plan_shows_the_solids_of_its_scene(tmp_path, round_
 
 
 @pytest.mark.usefixtures("quick_pictures")
-def test_track_tells_that_held_self_motion_will_not_repeat(tmp_path, capsys, monkeypatch):
+def test_track_warns_that_held_self_motion_will_not_repeat(tmp_path, capsys, monkeypatch):
     from eos_pin.cli.main import main
 
     monkeypatch.chdir(tmp_path)

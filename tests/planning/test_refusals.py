@@ -116,7 +116,7 @@ def test_ways_are_without_steps_that_jump_from_branch_to_branch(two_links):
         ([[0.5, 0.0, 0.4], [0.5, 0.1, 0.4]], {"start": np.zeros(7)}, "away from that point"),
     ],
 )
-def test_plan_refuses_what_cannot_be_used(task, path, options, message):
+def test_plan_refuses_arguments_that_cannot_be_used(task, path, options, message):
     with pytest.raises(InputError, match=message):
         plan(task, path, **options)
 

@@ -118,7 +118,7 @@ def test_fastest_can_be_saved_and_timed_anew(quick, panda, tmp_path):
     assert slower.end - slower.start > quick.end - quick.start
 
 
-def test_fastest_refuses_what_cannot_be():
+def test_fastest_refuses_impossible_limits():
     heavy = slider(axis="0 0 1", effort=15.0)
     with pytest.raises(PlanError, match=r"holding still takes 1\.308 times the torque of 'slide'"):
         fastest(heavy, MotionLimits.of(heavy.robot, torque=True))

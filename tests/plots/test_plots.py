@@ -145,7 +145,7 @@ class TestPages:
         assert [line.get_color() for line in figure.axes[0].lines] == [CONTROLLERS["task-space"], CONTROLLERS["eos"]]
         draw(figure, tmp_path)
 
-    def test_failed_run_says_why(self, runs, ppr, tmp_path):
+    def test_failed_run_shows_the_reason(self, runs, ppr, tmp_path):
         why = "the run ended at t = 1 s: " + "the task is singular $here " * 20
         figure = plots.overview(replace(runs["eos"], status="singular", message=why), ppr)
         assert "singular" in figure.get_suptitle()
@@ -338,7 +338,7 @@ class TestFiles:
             assert dict(matplotlib.rcParams) == before
         assert own == usual
 
-    def test_matplotlib_is_needed_by_this_module_only_and_pyplot_by_nobody(self):
+    def test_matplotlib_is_needed_by_this_module_only_and_pyplot_by_none(self):
         code = (
             "import sys, eos_pin; assert 'matplotlib' not in sys.modules; "
             "import eos_pin.plots.pages; assert 'matplotlib.pyplot' not in sys.modules"

@@ -38,7 +38,7 @@ PATHS = {robot.name: robot.path for robot in available_robots()}
     ],
     ids=lambda value: f"{value.robot}-{value.frame}" if isinstance(value, Row) else "",
 )
-def test_chain_runs_or_says_why_not(row: Row, task: str) -> None:
+def test_chain_runs_or_gives_the_reason(row: Row, task: str) -> None:
     leaves = {other.frame for other in every_robot.rows_of(next(r for r in available_robots() if r.name == row.robot))}
     row = row if row.frame in leaves else replace(row, frame=min(leaves))
     done = attempt(row, PATHS[row.robot], 0.5, 60.0)

@@ -57,7 +57,7 @@ def test_named_robots_load(name, capfd):
 
 
 @pytest.mark.parametrize(("name", "reason"), REFUSED.items())
-def test_robots_that_do_not_load_say_why(name, reason, capfd):
+def test_robots_that_do_not_load_give_the_reason(name, reason, capfd):
     with pytest.raises(RobotError, match=reason):
         load_robot(name)
     assert capfd.readouterr() == ("", "")
@@ -457,7 +457,7 @@ def test_external_entities_are_not_read(urdf, tmp_path):
                 load_robot(urdf(text))
 
 
-def test_load_robot_refuses_what_is_no_file(tmp_path, urdf):
+def test_load_robot_refuses_paths_without_a_file(tmp_path, urdf):
     with pytest.raises(RobotError, match="there is no file"):
         load_robot(tmp_path / "missing.urdf")
     urdf(arm(), "one.urdf")
@@ -475,7 +475,7 @@ def test_load_robot_refuses_what_is_no_file(tmp_path, urdf):
         load_robot(huge)
 
 
-def test_load_robot_tells_that_a_file_may_not_be_read(urdf, monkeypatch):
+def test_load_robot_reports_a_file_that_may_not_be_read(urdf, monkeypatch):
     path = urdf(arm())
 
     def refuse(*_args, **_kwargs):
@@ -714,7 +714,7 @@ HANDS = {
 
 
 @pytest.mark.parametrize("hand", HANDS.values(), ids=HANDS)
-def test_default_frame_is_the_flange_whatever_it_carries(hand, urdf):
+def test_default_frame_is_the_flange_with_any_tool(hand, urdf):
     path = urdf(carrying(hand))
     robot = load_robot(path, chain_to="auto")
     assert (robot.n, robot.options["chain_to"]) == (5, "flange")
@@ -803,7 +803,7 @@ def test_meshes_are_found(name, file, how, urdf, tmp_path, monkeypatch, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_missing_meshes_are_left_out_and_said(urdf, capfd):
+def test_missing_meshes_are_left_out_with_a_note(urdf, capfd):
     good = '<box size="1 2 3"/></geometry></visual><visual><geometry>'
     robot = load_robot(urdf(shaped(good + '<mesh filename="package://none/lost.stl"/>')), package_dirs=["/nowhere"])
     assert "package://none/lost.stl" in robot.notes[0]
@@ -817,7 +817,7 @@ def test_missing_meshes_are_left_out_and_said(urdf, capfd):
     "geometry",
     ['<box size="1 2"/>', '<sphere radius="-1"/>', '<cylinder radius="1"/>', "<ellipsoid/>", "", '<mesh scale="1"/>'],
 )
-def test_unusable_shapes_are_left_out_and_said(geometry, urdf, capfd):
+def test_unusable_shapes_are_left_out_with_a_note(geometry, urdf, capfd):
     robot = load_robot(urdf(shaped(geometry)))
     assert "line 2" in robot.notes[0]
     assert robot.visual.ngeoms == 0

@@ -77,7 +77,7 @@ def test_planar_joint_can_be_locked_and_loaded_again():
     assert again.placement([0.1, 0.2, 0.3, 0.4], "arm") == robot.placement([0.1, 0.2, 0.3, 0.4], "arm")
 
 
-def test_floating_joint_is_refused_with_what_to_do():
+def test_floating_joint_is_refused_with_advice():
     with pytest.raises(eos.RobotError, match="Lock it, or load the chain"):
         eos.load_robot(CART.replace("planar", "floating").replace('<axis xyz="AXIS"/>', ""))
 

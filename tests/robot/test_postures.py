@@ -55,7 +55,7 @@ def test_posture_takes_joints_by_name(panda):
         ([0.0] * 6, InputError, "7 numbers"),
     ],
 )
-def test_posture_refuses_what_is_none(panda, values, kind, told):
+def test_posture_refuses_values_that_are_none(panda, values, kind, told):
     with pytest.raises(kind, match=told):
         panda.posture(values)
 

@@ -185,7 +185,7 @@ def test_file_that_cannot_be_used_is_refused(text, told, log, tmp_path):
         read_joint_log(file, task.robot)
 
 
-def test_command_refuses_what_does_not_apply(log, tmp_path, monkeypatch, capsys):
+def test_command_refuses_options_that_do_not_apply(log, tmp_path, monkeypatch, capsys):
     task, t, q = log
     monkeypatch.chdir(tmp_path)
     table(tmp_path / "log.csv", t[:5], q[:5], names_of(task))

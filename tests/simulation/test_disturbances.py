@@ -179,7 +179,7 @@ def test_push_is_forgotten_at_the_rate_of_the_gains(panda, task, kind):
 
 
 @pytest.mark.slow
-def test_benchmark_measures_what_it_says():
+def test_robustness_benchmark_measures_its_columns():
     path = Path(__file__).parents[2] / "benchmarks" / "robustness.py"
     benchmark = runpy.run_path(str(path))
     row = benchmark["measure"]("position", "all at once", "EOS", cycles=3, seeds=1)

@@ -61,7 +61,7 @@ def test_run_tracks_and_repeats_to_rounding(ran):
     assert run.info["controller"]["kind"] == "KinematicLoop"
 
 
-def test_samples_are_what_a_servo_does(ran):
+def test_samples_are_those_of_a_servo(ran):
     loop, run = ran
     periods = run.t / 0.008
     assert np.abs(periods - np.round(periods)).max() < SAME
@@ -136,7 +136,7 @@ def test_joints_that_are_followed_are_reported(ur5):
     assert run.summary()["joint_distance"]["end"] < 1e-5
 
 
-def test_run_that_ends_early_keeps_what_was(ur5):
+def test_run_that_ends_early_keeps_its_samples(ur5):
     task = make_task(ur5)
     q = rest_posture(task)
     z = task.value(q)

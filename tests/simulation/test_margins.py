@@ -44,7 +44,7 @@ def test_ratios_are_those_to_the_middle_of_the_range_and_to_the_largest_value():
     assert found["told"] == "kept: position 75%, velocity 75%, torque 50%"
 
 
-def test_limits_that_are_passed_are_told_with_joint_and_size():
+def test_limits_that_are_passed_are_reported_with_joint_and_size():
     found = use_of_limits(bounds(), Q + np.array([2.2, 0.0, 0.0]), 2.0 * DQ, TAU)
     assert found["passed"]
     assert found["told"] == "passed: position by 0.2 rad (a), velocity 1.5 times (b)"
@@ -65,7 +65,7 @@ def test_limits_that_a_robot_lacks_are_none_moving_or_not(panda):
 
 
 @pytest.mark.parametrize(("upper", "beyond"), [(None, 0.5), (-1.0, 2.0)])
-def test_range_without_width_or_end_still_tells_what_is_passed(upper, beyond):
+def test_range_without_width_or_end_still_reports_passed_limits(upper, beyond):
     q = Q - [1.0, 0.0, 0.0] if upper is None else Q
     found = use_of_limits(bounds(upper=[upper, None, 0.5]), q, DQ, TAU)
     assert found["position"]["beyond"] == pytest.approx(beyond)
@@ -96,7 +96,7 @@ def still(panda) -> Result:
     return simulate(panda, EosController(task, Hold(task.value(q))), q, duration=0.1)
 
 
-def test_run_tells_its_ratios_in_summary_table_caption_and_file(panda, still, tmp_path):
+def test_run_has_its_ratios_in_summary_table_caption_and_file(panda, still, tmp_path):
     assert still.limits["torque"]["ratio"] == pytest.approx((np.abs(still.tau) / panda.effort).max())
     assert still.summary()["limits"]["told"].startswith("kept: position ")
     run = Result.load(pressed(still, panda).save(tmp_path / "run.npz"))

@@ -16,7 +16,7 @@ import random_chains
 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("seed", [1, 6, 7, 8, 16, 17, 21, 23])
-def test_everything_holds_on_a_random_chain(seed: int) -> None:
+def test_random_chain_keeps_all_identities(seed: int) -> None:
     figures = random_chains.examine(seed)
     assert figures.wrong == (), figures
 

@@ -121,7 +121,7 @@ def test_residuals_are_near_rounding(runs, kind):
 
 
 @pytest.mark.parametrize("name", ["q", "dq", "tau", "z", "work"])
-def test_residuals_show_what_has_been_tampered_with(runs, name):
+def test_residuals_show_tampered_arrays(runs, name):
     run = runs["continuous"]
     values = getattr(run, name).copy()
     values[len(values) // 2] += 0.01

@@ -84,7 +84,7 @@ def test_errors_decay_as_they_are_designed_to(panda):
     assert integration_error(run.self_motion_error, decay * e_v) < INTEGRATED
 
 
-def test_self_motion_goes_where_it_is_told_and_leaves_the_task_alone(panda):
+def test_self_motion_follows_its_command_and_leaves_the_task_alone(panda):
     task = PositionTask(panda, tip(panda))
     v_d = line(np.zeros(4), (0.3, -0.2, 0.3, 0.2), period=2.0)
     slow = simulate(panda, EosController(task, task.hold(REST), Track(v_d)), REST, duration=4.0)
@@ -386,7 +386,7 @@ LAWS = {
 
 
 @pytest.mark.parametrize("make", LAWS.values(), ids=LAWS)
-def test_path_out_of_reach_ends_the_run_and_keeps_what_was_computed(panda, make):
+def test_path_out_of_reach_ends_the_run_and_keeps_its_samples(panda, make):
     task = PositionTask(panda, tip(panda))
     path = line(task.value(REST), (0.8, 0.0, 0.0), period=4.0)
     run = simulate(panda, make(task, path), REST, duration=4.0, rtol=1e-6)
@@ -561,7 +561,7 @@ def test_runs_that_end_before_their_path_begins_are_refused(panda, make):
     assert np.isfinite(ControlLoop(EosController(task, path)).step(1.7e9, REST, np.zeros(7))).all()
 
 
-def test_runs_keep_what_memory_holds(panda, monkeypatch):
+def test_runs_keep_as_many_samples_as_memory_holds(panda, monkeypatch):
     monkeypatch.setattr("eos_pin.simulation._recorder.MOST_JOINT_SAMPLES", 700)
     with pytest.raises(InputError, match="101 samples of 7 joints are more than can be kept; up to 100 are possible"):
         simulate(panda, OpenLoop(lambda t: np.zeros(7)), REST, duration=1.0)

@@ -52,7 +52,7 @@ def test_distance_zero_is_refused_without_nan(panda):
 
 
 @pytest.mark.parametrize("rows", [[], [{"elbow": 1.0}], [{"panda_joint1": np.nan}], [{"panda_joint1": 1.0}] * 2, [{}]])
-def test_joint_task_refuses_what_is_no_combination(panda, rows):
+def test_joint_task_refuses_bad_combinations(panda, rows):
     with pytest.raises(InputError):
         JointTask(panda, rows)
 

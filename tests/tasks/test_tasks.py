@@ -106,7 +106,7 @@ def test_centre_of_mass_is_the_mean_of_the_bodies_weighted_by_mass(name, data):
 
 
 @given(data=st.data())
-def test_relative_position_does_not_see_what_moves_both_frames(panda, data):
+def test_relative_position_does_not_see_motion_of_both_frames(panda, data):
     task = every_task(panda)["relative xyz"]
     q = data.draw(checks.joints(panda))
     before = panda.model.frames[panda.frame_id(task.reference)].parentJoint

@@ -156,7 +156,7 @@ def test_plan_exists_with_a_tolerance_where_there_is_none_without(torch):
         (AxisTask, {"cone": 0.1}, "takes tolerances of nothing"),
     ],
 )
-def test_tolerance_task_refuses_what_it_cannot_keep(ur5, kind, tolerance, reason):
+def test_tolerance_task_refuses_tolerances_it_cannot_keep(ur5, kind, tolerance, reason):
     with pytest.raises(InputError, match=reason):
         ToleranceTask(kind(ur5, "tool0"), tolerance)
 

@@ -39,7 +39,7 @@ NINE = Harmonic(np.zeros(9), np.ones((1, 9)), np.zeros((1, 9)), 1.0)
 
 
 @pytest.mark.parametrize("pose", [POSE, POSE.homogeneous, POSE.homogeneous.tolist()], ids=["SE3", "matrix", "lists"])
-def test_hold_takes_a_pose_and_knows_its_dimension(pose):
+def test_hold_takes_a_pose_and_has_its_dimension(pose):
     target = Hold(pose)(0.0)
     np.testing.assert_allclose(target.z, FLAT, atol=1e-15)
     assert target.dz.shape == target.ddz.shape == (6,)
@@ -65,7 +65,7 @@ def test_hold_takes_a_rotation_matrix():
         ([1.0, 2.0], "two", "must be a number"),
     ],
 )
-def test_hold_refuses_what_is_no_point(point, m, message, unchecked):
+def test_hold_refuses_values_that_are_no_point(point, m, message, unchecked):
     with pytest.raises(InputError, match=message):
         Hold(point, m)
 
@@ -151,7 +151,7 @@ def test_pose_trajectory_keeps_the_position(path):
         ),
     ],
 )
-def test_pose_trajectory_refuses_what_is_no_pose(arguments, message, unchecked):
+def test_pose_trajectory_refuses_values_that_are_no_pose(arguments, message, unchecked):
     with pytest.raises(InputError, match=message):
         PoseTrajectory(**arguments)
 

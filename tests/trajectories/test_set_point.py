@@ -115,7 +115,7 @@ def test_set_point_refuses_bounds_and_times_that_do_not_fit(panda, monkeypatch):
         SetPoint(task, task.value(REST), velocity=1.0, acceleration=1.0, jerk=0.0)
     point = SetPoint(task, task.value(REST), **BOUNDS)
     point.stop(1.0)
-    with pytest.raises(InputError, match="comes after"):
+    with pytest.raises(InputError, match="must not go back"):
         point.stop(0.5)
     with pytest.raises(InputError):
         point.drive([0.1, np.nan, 0.0], 2.0)

@@ -96,7 +96,7 @@ def test_rotation_spline_is_that_of_a_task(panda):
         (np.stack([np.eye(3)] * 2), [0.0, 0.0], "must increase"),
     ],
 )
-def test_rotation_spline_refuses_what_is_no_path(rotations, times, told):
+def test_rotation_spline_refuses_values_that_are_no_path(rotations, times, told):
     with pytest.raises(InputError, match=told):
         rotation_spline(rotations, times)
 
@@ -109,6 +109,6 @@ def test_rotation_spline_refuses_a_way_that_is_not_clear(monkeypatch):
         rotation_spline(half_turns, [0.0, 1.0, 1.1, 2.1])
 
 
-def test_rotation_spline_refuses_to_close_what_is_open():
+def test_rotation_spline_refuses_to_close_an_open_path():
     with pytest.raises(InputError, match="closed path must be equal"):
         rotation_spline(TURNS.as_matrix(), TIMES, closed=True)

@@ -157,7 +157,7 @@ def test_trajectories_of_finite_duration_rest_after_it(name):
         assert not ddz.any()
 
 
-def test_trajectories_know_their_period_and_duration():
+def test_trajectories_have_their_period_and_duration():
     assert (Hold((1.0,)).period, Hold((1.0,)).duration) == (math.inf, 0.0)
     assert (KINDS["circle"].period, KINDS["circle"].duration) == (2.0, math.inf)
     assert (KINDS["minimum jerk"].period, KINDS["minimum jerk"].duration) == (math.inf, 4.0)
@@ -263,7 +263,7 @@ def test_bad_input_is_refused(make, message):
         make()
 
 
-def test_geodesic_refuses_what_is_not_a_point_of_its_task(panda):
+def test_geodesic_refuses_points_of_other_tasks(panda):
     task = PoseTask(panda, tip(panda))
     with pytest.raises(InputError, match="a point of"):
         Geodesic(task, [np.zeros(12), np.zeros(12)], [0.0, 1.0])

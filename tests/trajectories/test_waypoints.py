@@ -83,7 +83,7 @@ def test_table_keeps_the_digits_of_epoch_times(tmp_path):
     np.testing.assert_allclose(found.t, [0.0, 0.001, 0.002, 0.003], rtol=1e-15)
 
 
-def test_table_gives_only_what_it_has(tmp_path):
+def test_table_gives_only_its_own_columns(tmp_path):
     found = read_waypoints(write(tmp_path, "y,x\n1,2\n3,4\n"))
     assert (found.t, found.rotation, found.heading, found.values) == (None, None, None, None)
     assert found.axes == "xy"

@@ -167,7 +167,7 @@ def test_picture_command_of_the_readme_has_the_robot_in_it(replay: str, tmp_path
     assert seen.mean() > 0.05
 
 
-def test_page_unpacks_what_python_has_packed(chromium: Chromium, replay: str) -> None:
+def test_page_unpacks_scenes_packed_by_python(chromium: Chromium, replay: str) -> None:
     page = chromium.open(f"{replay}#paused")
     random = np.random.default_rng(0)
     noise = random.bytes(70_000)
@@ -193,7 +193,7 @@ def test_page_unpacks_what_python_has_packed(chromium: Chromium, replay: str) ->
     page.close()
 
 
-def test_page_that_is_still_coming_says_so(chromium: Chromium, replay: str) -> None:
+def test_page_that_is_still_loading_shows_it(chromium: Chromium, replay: str) -> None:
     text = Path(url2pathname(urlsplit(replay).path)).read_bytes()
     go_on = threading.Event()
 
@@ -226,7 +226,7 @@ def test_page_that_is_still_coming_says_so(chromium: Chromium, replay: str) -> N
 
 
 @pytest.mark.parametrize("part", [0.2, 0.6, 0.95, 0.9999])
-def test_file_that_was_cut_off_says_so(chromium: Chromium, replay: str, part: float, tmp_path: Path) -> None:
+def test_file_that_was_cut_off_shows_an_error(chromium: Chromium, replay: str, part: float, tmp_path: Path) -> None:
     text = Path(url2pathname(urlsplit(replay).path)).read_bytes()
     cut = tmp_path / "cut.html"
     cut.write_bytes(text[: min(int(part * len(text)), len(text) - 40)])
@@ -237,7 +237,7 @@ def test_file_that_was_cut_off_says_so(chromium: Chromium, replay: str, part: fl
     page.close()
 
 
-def test_browser_without_webgl_is_told_what_to_do(chromium: Chromium, replay: str) -> None:
+def test_browser_without_webgl_shows_advice(chromium: Chromium, replay: str) -> None:
     none = "HTMLCanvasElement.prototype.getContext = () => null;"
     page = chromium.open(replay, before=(("Page.addScriptToEvaluateOnNewDocument", {"source": none}),))
     assert page.js("document.body.dataset.state") == "failed"
@@ -249,7 +249,7 @@ def test_browser_without_webgl_is_told_what_to_do(chromium: Chromium, replay: st
     page.close()
 
 
-def test_browser_whose_graphics_are_reset_says_so(chromium: Chromium, replay: str) -> None:
+def test_browser_whose_graphics_are_reset_shows_it(chromium: Chromium, replay: str) -> None:
     page = chromium.open(f"{replay}#paused")
     page.js(
         "document.querySelector('#view canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
@@ -258,7 +258,7 @@ def test_browser_whose_graphics_are_reset_says_so(chromium: Chromium, replay: st
     page.close()
 
 
-def test_browser_without_scripts_says_so(chromium: Chromium, replay: str) -> None:
+def test_browser_without_scripts_shows_it(chromium: Chromium, replay: str) -> None:
     off = (("Emulation.setScriptExecutionDisabled", {"value": True}),)
     page = chromium.open(replay, before=off, wait=False)
     wait_for(lambda: "JavaScript" in visible(page), 20.0)

@@ -185,7 +185,7 @@ def test_robot_without_shapes_is_a_skeleton(panda: Robot, ppr: Robot) -> None:
             np.testing.assert_allclose(item.placement.rotation[:, 2], axis, atol=1e-9)
 
 
-def test_scene_refuses_what_it_cannot_draw(ppr: Robot) -> None:
+def test_scene_refuses_parts_it_cannot_draw(ppr: Robot) -> None:
     with pytest.raises(UnknownNameError, match="no frame is named 'tipp'"):
         Scene(ppr, traces={"actual": "tipp"})
     for path in (np.zeros((3, 2)), np.zeros((0, 3)), np.full((2, 3), np.nan)):
@@ -258,7 +258,7 @@ def test_file_is_replaced_whole_or_not_at_all(ppr: Robot, tmp_path: Path, monkey
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_folder_is_made_and_what_cannot_be_written_is_said(ppr: Robot, tmp_path: Path) -> None:
+def test_folder_is_made_and_a_failed_write_is_reported(ppr: Robot, tmp_path: Path) -> None:
     assert write_html(tmp_path / "new" / "run.html", Scene(ppr), [0.0], np.zeros((1, 3))).exists()
     with pytest.raises(OutputError, match="cannot write"):
         write_html(tmp_path, Scene(ppr), [0.0], np.zeros((1, 3)))
@@ -412,7 +412,7 @@ def test_server_leaves_no_process_behind(end: str) -> None:
         os.killpg(script.pid, 0)
 
 
-def test_viewer_open_tells_whether_a_browser_came(ppr: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_viewer_open_returns_whether_a_browser_came(ppr: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     opened = []
     monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or True)
     with Viewer(Scene(ppr), np.zeros(3), port=0) as viewer:

@@ -118,7 +118,7 @@ class ImpedanceController(Controller):
         self.task: Task = task
         self.robot: Robot = task.robot
         if atlas is not None and atlas.task is not task:
-            raise InputError("the atlas of an ImpedanceController must be of the controller's own task object")
+            raise InputError("the atlas must be made of the controller's own task object: atlas=Atlas(task)")
         self.atlas = atlas or Atlas(task)
         if isinstance(reference, str) and reference != HERE:
             raise InputError(f"the reference must be a trajectory or 'here', got {reference!r}")

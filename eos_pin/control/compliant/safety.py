@@ -77,7 +77,7 @@ def yielded(tau: JointVector, own: JointVector, limits: JointVector) -> JointVec
 
 
 def pulled_back(A: Array, tau: JointVector) -> JointVector | None:
-    """Force Q on (z, v) that joint torques are worth, Aᵀ Q = tau with A = H⁻¹; None where A is singular."""
+    """Force Q on (z, v) equivalent to joint torques, Aᵀ Q = tau with A = H⁻¹; None where A is singular."""
     try:
         return np.linalg.solve(A.T, tau)
     except np.linalg.LinAlgError:

@@ -66,4 +66,4 @@ class Connection:
         """End the exchange; the robot stands still."""
 
     def emergency_stop(self) -> None:
-        """Stop the robot at once by its own means, whatever it does."""
+        """Stop the robot at once by its own means, in any state."""

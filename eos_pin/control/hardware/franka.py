@@ -94,7 +94,7 @@ class FrankaConnection(Connection):
 
     @contextmanager
     def _told(self) -> Iterator[None]:
-        """The robot's own errors as ours."""
+        """Turn errors of the robot into `HardwareError`."""
         try:
             yield
         except tuple(getattr(self._library, name) for name in ERRORS) as error:

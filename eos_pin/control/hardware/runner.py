@@ -116,7 +116,7 @@ class Runner:
         self.watchdog = number(watchdog, "the watchdog's time", above=0.0)
         self.stop_time = number(stop_time, "the time of a stop", above=0.0)
         if most_refused < 0:
-            raise InputError(f"the number of refused states that are borne must be at least 0, got {most_refused}")
+            raise InputError(f"the most refused states in a row, most_refused, must be at least 0, got {most_refused}")
         if not 0 <= priority <= 99:
             raise InputError(f"a priority is a whole number from 0 to 99, got {priority}")
         self.most_refused, self.priority = most_refused, priority
@@ -293,7 +293,7 @@ class Runner:
         return command
 
     def _check_gravity(self, sample: Sample) -> None:
-        """Refuse to begin where nobody, or both, would carry the robot's weight."""
+        """Refuse to begin where gravity would be compensated twice, or not at all."""
         if not isinstance(self.loop, ControlLoop) or self.loop.controller.robot is None:
             return
         controller, robot = self.loop.controller, self.loop.controller.robot
@@ -304,7 +304,7 @@ class Runner:
                 "controller with gravity=False"
             )
         if not carries and not self.connection.compensates_gravity and np.any(robot._gravity(sample.q)):
-            raise HardwareError("neither the robot nor the controller compensates gravity; make it with gravity=True")
+            raise HardwareError("neither robot nor controller compensates gravity; give the controller gravity=True")
 
     def _watch(self) -> None:
         """Stop the robot where no command was written for too long."""

@@ -1,4 +1,4 @@
-"""Torques of a hierarchy of three levels: the task, a second task, and a posture in what both leave free.
+"""Torques of a hierarchy of three levels: the task, a second task, and a posture in the freedom that both leave.
 
 Dietrich, Ott and Albu-Schäffer, *An overview of null space projections for redundant, torque-controlled robots*, Int.
 J. Robotics Research 34(11), 2015. Two structures, successive and augmented, and three weights of the generalised

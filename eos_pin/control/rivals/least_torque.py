@@ -22,7 +22,7 @@ Norm: TypeAlias = Literal["torque", "range", "acceleration"]
 
 
 class LeastTorque(TaskController):
-    """Least torque that brings the task's acceleration, plus damping where the task does not feel it.
+    """Least torque that brings the task's acceleration, plus damping in the null space.
 
     With A = J M⁻¹ the task's acceleration is A (tau − h) + J̇dq, and tau = A^Q(ddz − J̇dq + A h) + (I − A^Q A) τ₀ with
     the Q-weighted inverse A^Q = Q⁻¹Aᵀ(A Q⁻¹Aᵀ)⁻¹ is nearest to τ₀ in the norm √(tauᵀQ tau). Without damping τ₀ = 0;

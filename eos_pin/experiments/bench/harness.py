@@ -139,5 +139,5 @@ def read_results(path: str | Path) -> list[Row]:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path} is no table of the bench: {error}. `eos-pin bench` writes one") from error
     if not rows:
-        raise InputError(f"{path} has no runs")
+        raise InputError(f"{path} has no runs. `eos-pin bench` writes a table with runs")
     return rows

@@ -1,4 +1,4 @@
-"""Settings of the bench: what is against the robot, by name."""
+"""Settings of the bench: disturbances of the robot, by name."""
 
 from __future__ import annotations
 

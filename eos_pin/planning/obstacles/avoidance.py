@@ -158,7 +158,7 @@ class _Walker:
         return self.charts[-1]
 
     def go(self, z: Point, dv: SelfMotionVector) -> str:
-        """Walk to z and by dv; says why it cannot be, and stays, where it cannot be."""
+        """Walk to z and by dv, or stay where that is not possible; the reason is returned."""
         try:
             way = self.atlas.follow(self.q, z[None], v=self.chart.v(self.q) + dv, chart=self.chart, tol=self.tol)
         except SingularError as error:

@@ -120,7 +120,7 @@ class Clearance:
     def __post_init__(self) -> None:
         object.__setattr__(self, "obstacles", tuple(self.obstacles))
         if not self.obstacles:
-            raise InputError("Clearance needs at least one obstacle")
+            raise InputError("Clearance needs at least one obstacle, such as Obstacle('ball', coal.Sphere(0.1), pose)")
         moving = dict.fromkeys(self._link(shape) for shape in self._shapes if shape.parentJoint)
         every = dict.fromkeys(self._link(shape) for shape in self._shapes)
         if not moving:

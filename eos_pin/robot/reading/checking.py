@@ -1,4 +1,4 @@
-"""The checks of a URDF: every complaint names file, line, and joint or link; what is odd and harmless leaves a note."""
+"""The checks of a URDF: every complaint names file, line, and joint or link; odd but harmless parts leave a note."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class UrdfJoint:
 
     @property
     def unlimited(self) -> bool:
-        """Without limits: continuous, or with limits of 0 to 0 because nobody filled them in."""
+        """Whether the joint has no limits: it is continuous, or its limits are 0 and 0, which means not given."""
         return self.kind == "continuous" or self.lower == self.upper == 0.0
 
     @property
@@ -136,7 +136,7 @@ class Checker:
         return self.numbers(element, key, 1, infinite=infinite)[0] if key in element.attrib else default
 
     def _no_xacro(self, root: etree._Element) -> None:
-        """Refuse placeholders that xacro would have to fill in; drop what it has left behind."""
+        """Refuse placeholders that xacro would have to fill in; drop the elements that it has left behind."""
         for element in list(root.iter(etree.Element)):
             prefix, _, tag = element.tag.replace("}", ":").rpartition(":")
             parent = element.getparent()

@@ -1,4 +1,4 @@
-"""Untrusted XML: parsed safely, and where it is not quite XML, as the parsers of robot programs take it.
+"""Safe parsing of untrusted XML, with the faults that parsers of other robot programs accept.
 
 The parser resolves no entity, and opens no other file and no connection.
 """
