@@ -256,6 +256,17 @@ def test_modes_change_without_jump_and_without_energy(pose: PoseTask) -> None:
     assert max(energies) < 0.02
 
 
+def test_modes_in_quick_succession_wait_for_the_tank(pose: PoseTask) -> None:
+    """An arm at rest fills no tank, so no mode may bring in energy, however soon the next one follows."""
+    soft = ImpedanceController(pose, pose.hold(REST), stiffness={"m": 300.0, "rad": 20.0}, tank=0.0)
+    loop, q, rest, energies = ControlLoop(soft), REST + 0.1, np.zeros(7), []
+    for k in range(40):
+        loop.controller = soft.with_mode(stiffness={"m": 400.0 + 100.0 * k, "rad": 20.0})
+        loop.step(0.02 * k, q, rest)
+        energies.append(energy(loop.controller, 0.02 * k, q, rest, loop.state))
+    np.testing.assert_allclose(energies, energies[0], rtol=1e-12)
+
+
 @given(st.integers(0, 1000))
 def test_law_is_finite_at_any_state(panda: Robot, seed: int) -> None:
     random = np.random.default_rng(seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -129,3 +130,19 @@ def plain(matrix: Square) -> Any:
     """A gain for descriptions: its diagonal where it has no other entries."""
     diagonal = np.diag(matrix)
     return diagonal.tolist() if np.array_equal(np.diag(diagonal), matrix) else matrix.tolist()
+
+
+def clips_of(given: Any) -> tuple[float, float, float]:
+    """Errors at which springs stop growing, of lengths, angles and the self-motion.
+
+    Raises:
+        InputError: It is no dictionary of positive numbers by `"m"`, `"rad"` or `"v"`.
+    """
+    given = {} if given is None else given
+    if not isinstance(given, dict) or not given.keys() <= {"m", "rad", "v"}:
+        raise InputError(f"largest_error must be a dictionary with some of 'm', 'rad' and 'v', got {given!r}")
+    lengths, angles, own = (
+        number(given[key], f"the largest error {key}", above=0.0) if key in given else math.inf
+        for key in ("m", "rad", "v")
+    )
+    return lengths, angles, own

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 
-from eos_pin._arrays import Jacobian, JointVector, VectorLike, checked, frozen_copy, number, of_type, vector, vectors_of
+from eos_pin._arrays import Jacobian, JointVector, VectorLike, checked, number, of_type
 from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.control.base import Controller
 from eos_pin.control.compliant.additions import Additions
 from eos_pin.control.compliant.energy import Energies, energies_of
 from eos_pin.control.compliant.forces import ForceGoal
-from eos_pin.control.compliant.gains import GainLike, gain_matrix, plain, ratio
-from eos_pin.control.compliant.law import Gains, ImpedanceLaw
+from eos_pin.control.compliant.gains import GainLike, clips_of, gain_matrix, plain, ratio
+from eos_pin.control.compliant.law import HERE, Gains, ImpedanceLaw, PostureLike, checked_posture
 from eos_pin.control.compliant.memory import FILLING, ImpedanceState
 from eos_pin.control.compliant.observer import MomentumObserver
 from eos_pin.control.compliant.safety import Safety, pulled_back, yielded
@@ -25,12 +24,6 @@ from eos_pin.errors import InputError, SingularError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Point, Task
 from eos_pin.trajectories.base import Hold, Target, Trajectory, check_reference
-
-#: What anchors the spring of the self-motion: joints, joints over time such as a plan, or the joints at hand.
-PostureLike: TypeAlias = (
-    "VectorLike | Callable[[float], tuple[JointVector, JointVector, JointVector]] | Literal['here'] | None"
-)
-HERE = "here"
 
 #: Stiffness where none is given: of lengths [N/m] and angles [N m/rad], and of the self-motion [N m/rad or N/m].
 STIFFNESS, SELF_MOTION_STIFFNESS = {"m": 1000.0, "rad": 50.0}, 20.0
@@ -127,7 +120,7 @@ class ImpedanceController(Controller):
         if not isinstance(reference, str):
             check_reference(task, reference)
             self.reference = reference
-        self.posture = self._checked_posture(posture)
+        self.posture = checked_posture(posture, task.robot.n)
         rotations = rotation_rows(task)
         if axes not in ("world", "tool"):
             raise InputError(f"axes must be 'world' or 'tool', got {axes!r}")
@@ -147,7 +140,7 @@ class ImpedanceController(Controller):
             else gain_matrix(self_motion_damping, own, one, "the self-motion damping"),
             damping_ratio=ratio(damping_ratio, "the damping ratio"),
             axes=axes,
-            clips=_clips(largest_error),
+            clips=clips_of(largest_error),
             feedforward=feedforward,
             free=() if force is None else tuple(self._checked_force(force, axes)),
         )
@@ -171,17 +164,6 @@ class ImpedanceController(Controller):
                 "take it over: loop.controller = loop.controller.with_mode(…)"
             )
         super().__setattr__(name, value)
-
-    def _checked_posture(self, posture: Any) -> Any:
-        n = self.task.robot.n
-        if posture is None or (isinstance(posture, str) and posture == HERE):
-            return posture
-        if isinstance(posture, str):
-            raise InputError(f"the posture must be joints, a function of time, 'here' or None, got {posture!r}")
-        if callable(posture):
-            vectors_of("joints of the posture", 3, n, posture, 0.0)
-            return posture
-        return frozen_copy(vector(posture, n, "the posture"))
 
     def _checked_force(self, force: ForceGoal, axes: str) -> list[int]:
         """Rows of the task along which a force is wanted."""
@@ -242,6 +224,8 @@ class ImpedanceController(Controller):
             and (state.chart.task.robot, state.chart.task.describe()) != (self.robot, self.task.describe())
         ):
             return self._start(t, q, dq)
+        # Weights move on before another law comes in, and what that needs is paid.
+        state = self._paid(t, q, dq, state, *self.task._linearize(q))
         anchor = state.laws[-1].anchor if self.posture is None else self.posture
         before, sampled = state.sampled, self.additions.start(t, q, dq)
         if before is not None and sampled is not None:
@@ -291,12 +275,14 @@ class ImpedanceController(Controller):
     def step(
         self, t: float, q: JointVector, dq: JointVector, state: ImpedanceState
     ) -> tuple[JointVector, ImpedanceState]:
+        z, J = self.task._linearize(q)
+        if len(state.laws) > 1 or state.tank < self.tank:
+            state = self._paid(t, q, dq, state, z, J)
         far = q - state.checked
         if far.dot(far) > LOOK * LOOK:
             state = state._replace(checked=q.copy())
             if self._validity(t, q, dq, state) <= 0.0:
                 state = self._update(t, q, dq, state)
-        z, J = self.task._linearize(q)
         sampled = state.sampled
         if state.carried is not None and state.part(t, self.blend) >= 1.0:
             state = state._replace(carried=None)
@@ -304,10 +290,6 @@ class ImpedanceController(Controller):
             tau = state.laws[0].torque(t, q, dq, z, J)
             tau += self.robot._gravity(q)
             return tau, state
-        if t > state.t:
-            taken = sum(w * law.power(dq, J) for w, law in zip(state.weights, state.laws, strict=True))
-            state = state._replace(tank=state.tank + FILLING * (t - state.t) * taken)
-            state = state.paid(t, q, z, self.blend, self.tank)
         if sampled is None:
             return self._torques(t, q, dq, state, z, J)[0], state
         sampled = self.additions.advance(t, q, dq, state.laws[-1].frame(J), sampled)
@@ -315,6 +297,16 @@ class ImpedanceController(Controller):
         tau, added = self._torques(t, q, dq, state, z, J)
         assert added is not None
         return tau, state._replace(sampled=sampled._replace(added=added, tau=tau))
+
+    def _paid(
+        self, t: float, q: JointVector, dq: JointVector, state: ImpedanceState, z: Point, J: Jacobian
+    ) -> ImpedanceState:
+        """The state with weights and tank at time t."""
+        if not t > state.t:
+            return state
+        taken = sum(w * law.power(dq, J) for w, law in zip(state.weights, state.laws, strict=True))
+        state = state._replace(tank=state.tank + FILLING * (t - state.t) * taken)
+        return state.paid(t, q, z, self.blend, self.tank)
 
     def validity(self, t: float, q: JointVector, dq: JointVector, state: ImpedanceState) -> float:
         _, J = self.task._linearize(q)
@@ -386,15 +378,3 @@ class ImpedanceController(Controller):
             "reference": HERE if self.reference is None else type(self.reference).__name__,
             **self.atlas.describe(),
         }
-
-
-def _clips(given: Any) -> tuple[float, float, float]:
-    """Errors at which springs stop growing, of lengths, angles and the self-motion."""
-    given = {} if given is None else given
-    if not isinstance(given, dict) or not given.keys() <= {"m", "rad", "v"}:
-        raise InputError(f"largest_error must be a dictionary with some of 'm', 'rad' and 'v', got {given!r}")
-    lengths, angles, own = (
-        number(given[key], f"the largest error {key}", above=0.0) if key in given else math.inf
-        for key in ("m", "rad", "v")
-    )
-    return lengths, angles, own

@@ -4,17 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from eos_pin._arrays import Array, Jacobian, JointVector, TaskVector, Vector
+from eos_pin._arrays import (
+    Array,
+    Jacobian,
+    JointVector,
+    TaskVector,
+    Vector,
+    VectorLike,
+    frozen_copy,
+    vector,
+    vectors_of,
+)
 from eos_pin._kernels import plain_springs
 from eos_pin._kernels.dispatch import use_compiled
 from eos_pin._kernels.plain_springs import shortened, turn_moment
 from eos_pin.charts.chart import Chart
 from eos_pin.control.compliant.gains import Square, damping_of
 from eos_pin.control.compliant.springs import Clip, rotation_rows, tool_axes
+from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Point
 from eos_pin.trajectories.base import Trajectory
@@ -23,6 +34,27 @@ Springs = use_compiled(plain_springs.Springs)
 
 #: Joints at which the self-motion's spring is anchored: one posture, or joints with two derivatives over time.
 Anchor: TypeAlias = "JointVector | Callable[[float], tuple[JointVector, JointVector, JointVector]]"
+#: What a user gives for it: likewise, or the joints at hand.
+PostureLike: TypeAlias = (
+    "VectorLike | Callable[[float], tuple[JointVector, JointVector, JointVector]] | Literal['here'] | None"
+)
+HERE = "here"
+
+
+def checked_posture(posture: Any, n: int) -> Any:
+    """Anchor of the self-motion's spring; `HERE` or None where it is not known yet.
+
+    Raises:
+        InputError: It is none of what a `PostureLike` may be.
+    """
+    if posture is None or (isinstance(posture, str) and posture == HERE):
+        return posture
+    if isinstance(posture, str):
+        raise InputError(f"the posture must be joints, a function of time, 'here' or None, got {posture!r}")
+    if callable(posture):
+        vectors_of("joints of the posture", 3, n, posture, 0.0)
+        return posture
+    return frozen_copy(vector(posture, n, "the posture"))
 
 
 @dataclass(frozen=True, eq=False)
