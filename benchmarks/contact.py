@@ -60,7 +60,7 @@ class Scene:
         self.top, self.n = float(z[2]) - TIP - gap, robot.n
         last = robot.placement(q, robot.joint_names[-1]).actInv(robot.placement(q, TOOL))
 
-        def more(spec: Any, bodies: list[Any]) -> None:
+        def more(_: Any, spec: Any, bodies: list[Any]) -> None:
             spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET
             tip = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": [TIP, 0.0, 0.0], "pos": last.translation}
             bodies[-1].add_geom(name="tip", friction=[0.2, 0.0, 0.0], solref=CONTACT, condim=3, **tip)

@@ -3,7 +3,10 @@
     python benchmarks/sliding_mode.py [--quick] [--json FILE]
 
 Panda draws a figure eight at 1 kHz. EOS runs with its usual gains, and with those that sliding mode has in its boundary
-layer, so that what high gains do is told from what the law does.
+layer: what high gains do is told from what the law does, and both have the same gain for noise. In the layer the two
+are one law up to the second order in velocities, so the same error is what to expect; what sliding mode has beside is
+a bound, |σ| below the layer φ, and a switching term that is cut. The cut makes the way to the layer longer, so errors
+count apart for the start, where the path moves off and the robot is at rest.
 """
 
 from __future__ import annotations
@@ -19,7 +22,17 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from eos_pin import Controller, EosController, PositionTask, Robot, Track, figure_eight, load_robot, simulate_sampled
+from eos_pin import (
+    Controller,
+    EosController,
+    PositionTask,
+    Robot,
+    SensorNoise,
+    Track,
+    figure_eight,
+    load_robot,
+    simulate_sampled,
+)
 from eos_pin.cli.main import run
 from eos_pin.cli.output import console, grid, write_json
 from eos_pin.control.rivals.sliding import SlidingModeController
@@ -27,6 +40,10 @@ from eos_pin.control.rivals.sliding import SlidingModeController
 POSTURE, FRAME = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8]), "panda_hand_tcp"
 #: Rate on the surface, bandwidth in the layer [1/s], and the model error that is stated.
 RATE, BANDWIDTH, STATED = 10.0, 50.0, 0.2
+#: Time from which errors count [s].
+SETTLED = 1.0
+#: Standard deviations of measured joints [rad] and velocities [rad/s].
+NOISE = SensorNoise(5e-5, 5e-4)
 
 
 def sliding_mode(
@@ -55,35 +72,37 @@ def sliding_mode(
             found = []
             for seed in range(1 if quick or not error else 5):
                 plant = robot.perturbed(mass=error, com=error, inertia=error, seed=seed)
-                found.append(_figures(plant, law, 1.0 if quick else 3.0, seed))
+                found.append(_figures(plant, law, 1.25 if quick else 3.0, seed))
             rows.append({"model error": error, "law": name, **_worst(found)})
     title = f"Panda at 1 kHz; sliding mode is made for a model error of {STATED:g}; the worst of the plants"
     console.print(grid(title, list(rows[0]), [list(row.values()) for row in rows]))
     if json_file is not None:
         write_json(json_file, {"rows": rows})
     stood = [row for row in rows if row["law"] == "sliding mode" and row["model error"] <= STATED]
-    return 0 if all(row["|s|/layer"] < 1.0 for row in stood) else 1
+    return 0 if all(row["|σ|/layer"] < 1.0 for row in stood) else 1
 
 
 def _figures(plant: Robot, law: Controller, duration: float, seed: int) -> dict[str, float]:
-    """Error after the start, place in the layer, and change of the torque from one period to the next."""
+    """Error at the start and later, place in the layer, and change of the torque from one period to the next."""
     result = simulate_sampled(
-        plant, law, POSTURE, duration=duration, control_period=1e-3, record_rate=1000.0, torque_limits=False, seed=seed
-    )
-    late = result.t > 0.5
+        plant, law, POSTURE, duration=duration, control_period=1e-3, record_rate=1000.0, torque_limits=False, seed=seed,
+        noise=NOISE,
+    )  # fmt: skip
+    error, late = np.linalg.norm(result.error, axis=1), result.t > SETTLED
     place = float("nan")
     if isinstance(law, SlidingModeController):
         state = law.start(0.0, POSTURE, 0.0 * POSTURE)
         states = zip(result.t[late][::20], result.q[late][::20], result.dq[late][::20], strict=True)
         found = [law.surface(float(t), q, dq, state) for t, q, dq in states]
-        place = max(float(np.abs(each.s / each.layer).max()) for each in found)
-    changes = np.abs(np.diff(result.tau[late], n=2, axis=0))
+        place = max(float(np.abs(each.sigma / each.layer).max()) for each in found)
+    changes = np.diff(result.tau[late], n=2, axis=0)
     return {
-        "error [mm]": 1e3 * float(np.linalg.norm(result.error[late], axis=1).max()),
-        "|s|/layer": place,
+        "start [mm]": 1e3 * float(error[~late].max()),
+        "error [mm]": 1e3 * float(error[late].max()),
+        "|σ|/layer": place,
         "torque [N m]": float(np.abs(result.tau[late]).max()),
-        # Second differences: a torque that chatters changes back and forth from one period to the next.
-        "chattering [N m]": float(changes.max()),
+        # Second differences, root mean square: a torque that chatters changes back and forth from period to period.
+        "chattering [N m]": float(np.sqrt((changes**2).mean())),
     }
 
 

@@ -20,6 +20,7 @@ from crew import Crew, Worker, WorkerError, crew
 from performance_page import page
 from sections import Effort, Section, steps
 from setting import RIGHT, Setting, both
+from sliding_mode import sliding_mode
 
 from eos_pin._kernels.dispatch import REFERENCES, kernels
 
@@ -147,6 +148,16 @@ def test_page_is_honest_about_who_is_faster() -> None:
     text = page({}, [Section("Control step, pose", columns, rows)], [], {})
     assert "- control step, pose: TSID (torque) 0.5" in text
     assert "Pink (velocity)" not in text
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_sliding_mode_has_error_and_chattering_of_eos_with_the_same_gains(tmp_path: Path) -> None:
+    assert sliding_mode(quick=True, json_file=tmp_path / "figures.json") == 0
+    usual, plain, sliding = json.loads((tmp_path / "figures.json").read_text())["rows"]
+    assert sliding["|σ|/layer"] < 1.0
+    for name in ("error [mm]", "chattering [N m]"):
+        assert sliding[name] == pytest.approx(plain[name], rel=0.05)
+    assert usual["error [mm]"] > 2.0 * plain["error [mm]"]
 
 
 @pytest.mark.slow

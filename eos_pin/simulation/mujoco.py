@@ -117,13 +117,16 @@ class MujocoPlant(Robot):
     def _mujoco(self) -> tuple[ModuleType, Any, Any]:
         """The library, its model and its workspace."""
         mujoco = _import_mujoco()
-        model = _compile(mujoco, self.model)
+        model = _compile(mujoco, self.model, self._more)
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{self.integrator.upper()}")
         data = mujoco.MjData(model)
         for warning in data.warning:
             # It speaks up the first time only, on the terminal and in a file; who drives the run says it better.
             warning.number = 1
         return mujoco, model, data
+
+    def _more(self, mujoco: ModuleType, spec: Any, bodies: list[Any]) -> None:
+        """Add to MuJoCo's specification, and to the bodies of the joints; here nothing."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in super().__getstate__().items() if key != "_mujoco"}
@@ -140,13 +143,16 @@ def _import_mujoco() -> ModuleType:
     return mujoco
 
 
-def _compile(mujoco: ModuleType, robot: pin.Model, more: Callable[[Any, list[Any]], None] | None = None) -> Any:
+def _compile(
+    mujoco: ModuleType, robot: pin.Model, more: Callable[[ModuleType, Any, list[Any]], None] | None = None
+) -> Any:
     """MuJoCo's model of the same joints and bodies.
 
     Args:
         mujoco: The library.
         robot: The robot.
-        more: Adds to MuJoCo's specification and the bodies of the joints; bodies are added after the robot's.
+        more: Adds to MuJoCo's specification and to the bodies of the joints, given the library and both; further bodies
+            come after the robot's.
     """
     spec = mujoco.MjSpec()
     spec.option.gravity = robot.gravity.linear
@@ -182,7 +188,7 @@ def _compile(mujoco: ModuleType, robot: pin.Model, more: Callable[[Any, list[Any
         kind = mujoco.mjtJoint.mjJNT_SLIDE if linear.any() else mujoco.mjtJoint.mjJNT_HINGE
         bodies[i].add_joint(name=robot.names[i], type=kind, axis=linear + angular, armature=robot.armature[i - 1])
     if more is not None:
-        more(spec, bodies)
+        more(mujoco, spec, bodies)
     model = spec.compile()
     # Its compiler refuses point masses, bodies without mass, and inertias that no real body has; its dynamics does not.
     of_robot = slice(len(inertias))

@@ -43,7 +43,9 @@ def test_law_has_a_torque_on_the_bench(law):
 @pytest.mark.parametrize("setting", [name for name in SETTINGS if not name.startswith(("exact", "rate"))])
 @pytest.mark.usefixtures("unchecked")
 def test_setting_disturbs(setting, monkeypatch):
-    monkeypatch.setattr("eos_pin.experiments.bench.trial.DURATION", 1.6 if "push" in setting else 0.2)
+    monkeypatch.setattr(
+        "eos_pin.experiments.bench.trial.DURATION", 1.6 if setting.startswith(("push", "contact")) else 0.2
+    )
     trials = [BenchTrial.from_settings("panda", setting=name, seed=3, task_rate=16.0) for name in ("exact", setting)]
     plain, disturbed = (trial.run() for trial in trials)
     assert plain.ok
@@ -86,26 +88,34 @@ def test_holm_adjusts_as_the_textbook_does():
     np.testing.assert_allclose(_holm(np.array([0.01, 0.02, 0.03, 0.005])), [0.03, 0.04, 0.04, 0.02])
 
 
-def test_gains_are_those_with_the_least_error(monkeypatch, tmp_path):
+def test_gains_are_those_with_the_least_error_among_smooth_torques(monkeypatch, tmp_path):
     def fake(trials, **_):
+        # Of gauss the torques are rough from 64 on, of eos all are smooth.
         return [
             {
                 "error": 1.0
-                + abs(np.log(trial.task_rate / 16.0))
-                + (0.1 if trial.law == "eos" else -0.1) * trial.free_rate
+                + abs(np.log(trial.task_rate / (32.0 if trial.law == "eos" else 96.0)))
+                + (0.1 if trial.law == "eos" else -0.1) * trial.free_rate,
+                "torque": 10.0,
+                "roughness": 0.01 * (trial.task_rate if trial.law == "gauss" else 1.0),
             }
             for trial in trials
         ]
 
     monkeypatch.setattr(harness, "sweep", fake)
     found = harness.find_gains(("panda",), ("eos", "gauss"), 1, {}, lambda *_: None)
-    assert found == {("panda", "eos"): (16.0, 2.0), ("panda", "gauss"): (16.0, 8.0)}
+    assert found == {("panda", "eos"): (32.0, 2.0), ("panda", "gauss"): (48.0, 8.0)}
 
 
 def test_gains_with_about_equal_errors_are_those_with_the_least_drift(monkeypatch):
     def fake(trials, **_):
         return [
-            {"error": 1.0 - 0.01 * trial.free_rate + (trial.task_rate > 16.0), "drift": trial.free_rate}
+            {
+                "error": 1.0 - 0.01 * trial.free_rate + (trial.task_rate > 16.0),
+                "drift": trial.free_rate,
+                "torque": 1.0,
+                "roughness": 0.0,
+            }
             for trial in trials
         ]
 

@@ -20,16 +20,18 @@ from eos_pin.trajectories.base import Target, Trajectory
 
 
 class Surface(NamedTuple):
-    """Distance from the sliding surface and the boundary layer around it, in each coordinate of w = (z, v).
+    """Distance from the sliding surface and the boundary layer around it, in coordinates σ in which the mass is 1.
 
     Attributes:
-        s: Velocity dw_r − dw that is lacking, (n,).
-        layer: Thickness φ of the boundary layer, (n,).
-        force: Most force k that the switching term may take, (n,) [N, N m].
-        bound: What model errors up to the stated one change in the force on w, at most, (n,) [N, N m].
+        s: Velocity dw_r − dw of w = (z, v) that is lacking, (n,).
+        sigma: The same as σ = Lᵀs, with HᵀMH = L Lᵀ, (n,) [√J].
+        layer: Thickness φ of the boundary layer, (n,) [√J].
+        force: Most force k that the switching term may take, (n,) [√J/s].
+        bound: Change of the force L⁻¹HᵀF that model errors up to the stated one make, at most, (n,) [√J/s].
     """
 
     s: Vector
+    sigma: Vector
     layer: Vector
     force: Vector
     bound: Vector
@@ -38,13 +40,15 @@ class Surface(NamedTuple):
 class SlidingModeController(EosController):
     """Sliding mode with a boundary layer in extended operational space, robust to a stated error of the model.
 
-    With e = w_d − w, dw_r = dw_d + λ e, s = dw_r − dw and dq_r = H dw_r,
-    tau = M ddq_r + C dq_r + g + H⁻ᵀ sat(β m s), each component cut at ±k: m is the diagonal of HᵀMH and
-    k = |HᵀY| Δθ + η m, with the regressor Y of the first three terms and bounds Δθ of the inertial parameters' errors.
-    As Ṁ − 2C is skew, the energy ½ sᵀHᵀM H s of the true robot falls while every component of s is outside of the layer
-    φ = k/(β m), whatever the error of the model within Δθ is. In the layer the law is smooth and nearly linear, with
-    kp = λ β and kd = λ + β, and an error that stays in it is at most φ/λ in the end. After Slotine and Li, *Applied
-    nonlinear control*, 1991, Secs. 7.4 and 9.2; there in joints.
+    With e = w_d − w, dw_r = dw_d + λ e, s = dw_r − dw, dq_r = H dw_r, HᵀMH = L Lᵀ and σ = Lᵀs,
+    tau = M ddq_r + C dq_r + g + H⁻ᵀ L sat(β σ), each component cut at ±k, k = |L⁻¹HᵀY| Δθ + η, with the regressor Y of
+    the first three terms and bounds Δθ of the inertial parameters' errors. As Ṁ − 2C is skew, the energy ½ sᵀHᵀM H s of
+    the true robot falls while every component of σ is outside of the layer φ = k/β, whatever the error of the model
+    within Δθ is. In the layer the law is smooth: PD control with kp = λ β, kd = λ + β and the mass matrix, as that of
+    `EosController`. So with the same gains both leave the same errors there; what is gained is the bound, |σ| ≤ φ, and
+    that the switching term never exceeds k. After Slotine and Li, *Applied nonlinear control*, 1991, Secs. 7.4 and 9.2;
+    there in joints and with a diagonal in the place of L, by which light directions get a multiple of β where the
+    coupling is strong.
 
     The bound holds for continuous control and without other disturbances: friction, a payload or delay need a larger
     `model_error`. Of rotations the rate of the error is taken for dz_d − dz, to the first order in the error. Where the
@@ -58,7 +62,7 @@ class SlidingModeController(EosController):
             second moments.
         rate: Rate λ at which errors decay on the surface [1/s].
         bandwidth: Rate β at which s decays in the layer [1/s]; a fifth of the control rate at most.
-        reaching: Deceleration η of s that is left outside of the layer [m/s², rad/s²].
+        reaching: Deceleration η of σ that is left outside of the layer [√J/s].
         gravity: Whether the controller compensates gravity.
         atlas: Rule by which charts follow each other; by default that of `Atlas(task)`.
 
@@ -153,10 +157,10 @@ class SlidingModeController(EosController):
         ddv_r = ddv_d + slow * (dv_d - dv)
         ddq_r = chart._acceleration(J, ddz_r - jacobian_rate(task, q, dq).dot(dq_r), ddv_r)
         H = np.linalg.inv(A)
-        inertia = np.einsum("ij,ij->j", H, model._mass(q).dot(H))
-        bound = np.abs(H.T.dot(passive_regressor(model, q, dq, dq_r, ddq_r))).dot(self._bounds)
-        force = bound + self.reaching * inertia
-        slope = self.bandwidth * inertia
-        switched: Array = np.clip(slope * s, -force, force)
-        tau = passive_torque(model, q, dq, dq_r, ddq_r) + A.T.dot(switched)
-        return Surface(s, force / slope, force, bound), tau
+        L = np.linalg.cholesky(H.T.dot(model._mass(q)).dot(H))
+        Y = passive_regressor(model, q, dq, dq_r, ddq_r)
+        bound = np.abs(np.linalg.solve(L, H.T.dot(Y))).dot(self._bounds)
+        force, sigma = bound + self.reaching, L.T.dot(s)
+        switched: Array = np.clip(self.bandwidth * sigma, -force, force)
+        tau = passive_torque(model, q, dq, dq_r, ddq_r) + A.T.dot(L.dot(switched))
+        return Surface(s, sigma, force / self.bandwidth, force, bound), tau

@@ -19,7 +19,10 @@ from eos_pin.experiments.sweeps import sweep, write_table
 from eos_pin.experiments.trial import Row
 
 #: Rates among which those of each law are chosen, of the task and of what is left free [1/s].
-TASK_RATES, FREE_RATES = (16.0, 32.0, 64.0, 128.0), (2.0, 8.0)
+TASK_RATES, FREE_RATES = (16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0), (2.0, 8.0)
+#: Roughness of the torque in the search, as a part of the torque itself, up to which gains count: noise and delay make
+#: it grow with them, and no motor bears it as far as errors fall.
+ROUGH = 0.05
 #: Errors of the search that are taken for equal, as a ratio; of these gains those with the least drift count.
 EQUAL = 1.1
 #: First seed of the runs in which gains are found; no other runs have it.
@@ -50,9 +53,9 @@ def bench(
     """Run laws on robots in settings, and keep a table of all that is finished in the folder, `results.csv`.
 
     Each law gets its two rates on each robot by the same search: every pair of a few, in runs of a setting of their
-    own, with seeds of their own; of the pairs with about the least median task error that with the least drift of the
-    joints counts. Seeds are done one after the other, each for all laws, so the table is whole after each. Runs with
-    the same seed have the same plant, start and noise.
+    own, with seeds of their own. Of the pairs whose torques are smooth enough those with about the least median task
+    error count, and of these that with the least drift of the joints. Seeds are done one after the other, each for all
+    laws, so the table is whole after each. Runs with the same seed have the same plant, start and noise.
 
     Args:
         robots: Names or URDF files; by default three.
@@ -91,7 +94,10 @@ def bench(
 
 
 def find_gains(robots: Sequence[str], laws: Sequence[str], seeds: int, run: dict[str, Any], tell: Observer) -> Gains:
-    """Rates of each law on each robot that are best in the setting for gains: by task error, then by drift."""
+    """Rates of each law on each robot that are best in the setting for gains: by task error, then by drift.
+
+    Pairs with rougher torques than `ROUGH` count only where a law has no others.
+    """
     places = [(robot, law) for robot in robots for law in laws]
     pairs = [(task, free) for task in TASK_RATES for free in FREE_RATES]
     trials = [
@@ -105,8 +111,12 @@ def find_gains(robots: Sequence[str], laws: Sequence[str], seeds: int, run: dict
     rows = sweep(trials, observer=partial(tell, "gains"), **run)
     found = [_slim(row) for row in rows]
     shape = len(places), len(pairs), int(seeds)
-    errors = np.median(np.reshape([row["error"] for row in found], shape), axis=2)
-    drifts = np.median(np.reshape([_number(row["drift"]) for row in found], shape), axis=2)
+    errors, drifts, torques, roughness = (
+        np.median(np.reshape([_number(row[name]) for row in found], shape), axis=2)
+        for name in ("error", "drift", "torque", "roughness")
+    )
+    smooth = np.isfinite(roughness) & (roughness <= ROUGH * torques)
+    errors = np.where(smooth | ~smooth.any(axis=1, keepdims=True), errors, np.inf)
     best = np.where(errors <= EQUAL * errors.min(axis=1, keepdims=True), drifts, np.inf)
     # Where nothing has a drift, the error decides.
     best = np.where(np.isfinite(best).any(axis=1, keepdims=True), best, errors).argmin(axis=1)

@@ -145,9 +145,8 @@ def _impedance(s: Setup) -> Controller:
 
 
 def _sliding(s: Setup) -> Controller:
-    return SlidingModeController(
-        s.task, s.path, model_error=STATED_ERROR, rate=s.free_rate, bandwidth=2.0 * s.task_rate
-    )
+    """In its layer kp = ω² and kd = 2ω as in the other laws; v has the rates of the task."""
+    return SlidingModeController(s.task, s.path, model_error=STATED_ERROR, rate=s.task_rate, bandwidth=s.task_rate)
 
 
 _NAKANISHI, _DIETRICH, _HOLLERBACH = "Nakanishi et al. 2008", "Dietrich et al. 2015", "Hollerbach, Suh 1987"

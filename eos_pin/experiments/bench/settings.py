@@ -24,6 +24,7 @@ class Setting:
         saturation: Torque limits as a part of the largest torque of the undisturbed path; None for none.
         push: Where it is pushed for 0.2 s: `"tool"` or `"elbow"`.
         payload: Mass that the plant carries and no controller knows, as a part of the robot's own mass.
+        contact: Whether a part of the path leads into a surface; the plant is MuJoCo's.
     """
 
     title: str
@@ -32,6 +33,7 @@ class Setting:
     saturation: float | None = None
     push: str = ""
     payload: float = 0.0
+    contact: bool = False
 
 
 SETTINGS: Mapping[str, Setting] = {
@@ -42,7 +44,7 @@ SETTINGS: Mapping[str, Setting] = {
     "friction": Setting("friction", friction=1.0),
     "noise": Setting("noise 1e-4 rad", {"noise": 1e-4}),
     "delay-2": Setting("delay 2 ms", {"delay": 2e-3}),
-    "delay-4": Setting("delay 4 ms", {"delay": 4e-3}),
+    "delay-6": Setting("delay 6 ms", {"delay": 6e-3}),
     "rate-200": Setting("200 Hz", {"control_rate": 200.0}),
     "rate-2000": Setting("2,000 Hz", {"control_rate": 2000.0}),
     "saturation": Setting("torque saturation", saturation=0.95),
@@ -50,6 +52,7 @@ SETTINGS: Mapping[str, Setting] = {
     "push-elbow": Setting("push at the elbow", push="elbow"),
     "payload": Setting("unknown payload", payload=0.05),
     "mujoco": Setting("MuJoCo, 10 % off", {"plant": "mujoco", "model_error": 0.1}),
+    "contact": Setting("contact with foam, MuJoCo", {"plant": "mujoco", "model_error": 0.1}, contact=True),
     "all": Setting(
         "all at once", {"model_error": 0.1, "noise": 3e-5, "delay": 2e-3}, friction=0.5, push="tool", payload=0.02
     ),

@@ -15,6 +15,7 @@ from eos_pin.control.base import Controller
 from eos_pin.errors import PlanError
 from eos_pin.experiments.bench.laws import LAWS, Setup, chosen_laws
 from eos_pin.experiments.bench.settings import RATE, SETTINGS
+from eos_pin.experiments.bench.surface import cut_off, with_surface
 from eos_pin.experiments.defaults import fitting_path, make_task, rest_posture
 from eos_pin.experiments.trial import Row, Trial
 from eos_pin.planning.planner import plan
@@ -79,8 +80,12 @@ class BenchTrial(Trial):
             plant = _loaded(plant, setting.payload)
         inertia = _inertia(self.robot.robot)
         friction = setting.friction
+        if setting.contact:
+            plant = with_surface(plant, robot.options["chain_to"], *cut_off(scene(self.robot.robot).path, PERIOD))
+        elif options.get("plant") == "mujoco":
+            plant = MujocoPlant.from_robot(plant)
         return simulate_sampled(
-            MujocoPlant.from_robot(plant) if options.get("plant") == "mujoco" else plant,
+            plant,
             controller,
             q,
             duration=duration,
@@ -95,12 +100,14 @@ class BenchTrial(Trial):
         )
 
     def figures(self, result: Result) -> Row:
-        """Task error after the start has settled, drift of the joints, torque and its roughness."""
+        """Task error, torque and its roughness after the start has settled, and drift of the joints."""
         t, error = result.t, np.linalg.norm(result.error, axis=1)
         whole = result.status in ("finished", "degraded")
         late = error[t >= SETTLED]
         rms = math.sqrt(float((late**2).mean())) if whole and late.size else LOST
-        changes = np.diff(result.tau, n=2, axis=0)
+        # The torque by which a robot that starts beside the path gets there is left out.
+        tau = result.tau[t >= SETTLED]
+        changes = np.diff(tau, n=2, axis=0)
         return {
             "status": result.status,
             "message": "" if whole else result.message,
@@ -109,7 +116,7 @@ class BenchTrial(Trial):
             "drift": float(result.joint_drift_per_cycle[-1])
             if whole and len(result.joint_drift_per_cycle)
             else math.nan,
-            "torque": float(np.sqrt((result.tau**2).mean())),
+            "torque": float(np.sqrt((tau**2).mean())) if len(tau) else math.nan,
             "roughness": float(np.sqrt((changes**2).mean())) if len(changes) else math.nan,
             "seconds": float(result.summary()["cpu_seconds"]),
         }
