@@ -62,6 +62,8 @@ class Scene:
 
         def more(_: Any, spec: Any, bodies: list[Any]) -> None:
             spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET
+            # Friction that does not depend on its direction.
+            spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
             tip = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": [TIP, 0.0, 0.0], "pos": last.translation}
             bodies[-1].add_geom(name="tip", friction=[0.2, 0.0, 0.0], solref=CONTACT, condim=3, **tip)
             table = spec.worldbody.add_body(name="table", pos=[z[0], z[1], self.top - 0.1], mass=1000.0)
@@ -119,8 +121,8 @@ def press(duration: float, *, observer: float | None = None, gap: float = 0.0005
         return rest + 0.5 * SWING * s * V, 0.5 * SWING * ds * V, 0.5 * SWING * dds * V
 
     controller = ImpedanceController(
-        task, path, posture=swing, stiffness={"m": 2000.0, "rad": 100.0}, self_motion_stiffness=40.0,
-        damping_ratio=1.0, force=ForceGoal({"z": -FORCE}, rate=30.0),
+        task, path, posture=swing, stiffness={"m": 3000.0, "rad": 100.0}, self_motion_stiffness=40.0,
+        damping_ratio=1.0, force=ForceGoal({"z": -FORCE}),
         observer=observer, wrench=None if observer else lambda t: scene.wrench,
     )  # fmt: skip
     loop, dq = ControlLoop(controller), np.zeros(robot.n)

@@ -305,13 +305,40 @@ def test_compensation_keeps_tool_still_under_push_at_elbow(pose: PoseTask) -> No
     assert set(powers) == {"moving targets", "compensation of external forces"}
 
 
+@pytest.mark.parametrize(("mass", "observer", "off"), [(8.0, None, 0.01), (2.0, None, 0.01), (4.0, 400.0, 0.1)])
+def test_designed_inertia_is_that_of_the_response(
+    pose: PoseTask, mass: float, observer: float | None, off: float
+) -> None:
+    """A sudden push is answered as by a mass on a spring with a damper, in closed form."""
+    push, K, zeta = np.array([0.0, 6.0, 0.0, 0.0, 0.0, 0.0]), 800.0, 0.5
+    controller = ImpedanceController(
+        pose, pose.hold(REST), stiffness={"m": K, "rad": 60.0}, inertia={"m": mass, "rad": 0.1}, damping_ratio=zeta,
+        observer=observer, wrench=None if observer else lambda t: push,
+    )  # fmt: skip
+    plant, loop, force = MujocoPlant.from_robot(pose.robot), ControlLoop(controller), TaskForce(pose, lambda t: push)
+    q, dq, moved = REST, np.zeros(7), []
+    for k in range(400):
+        tau = loop.step(k * PERIOD, q, dq)
+        moved.append(pose.minus(pose.value(q), pose.value(REST)))
+        q, dq = plant.advance(q, dq, tau + force.torque(0.0, q), PERIOD)
+    t, w = PERIOD * np.arange(400), math.sqrt(K / mass)
+    wd = w * math.sqrt(1.0 - zeta**2)
+    answer = (6.0 / K) * (1.0 - np.exp(-zeta * w * t) * (np.cos(wd * t) + zeta * w / wd * np.sin(wd * t)))
+    found = np.array(moved)
+    assert np.abs(found[:, 1] - answer).max() < off * answer.max()
+    assert np.abs(found[:, [0, 2]]).max() < off * answer.max()
+    assert "inertia shaping" in controller.energies(0.4, q, dq, loop.state).injected
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
+        ({"inertia": {"m": 5.0, "rad": 0.1}}, "external forces must be known"),
+        ({"inertia": {"m": 0.0, "rad": 0.1}, "observer": 50.0}, "above 0"),
+        ({"inertia": [1.0] * 6, "observer": 50.0, "compensate_external": True}, "give one of the three"),
         ({"compensate_external": True}, "external forces must be known"),
         ({"force": ForceGoal({"z": -5.0})}, "external forces must be known"),
         ({"force": ForceGoal({"up": -5.0}), "observer": 50.0}, "no coordinate of the task"),
-        ({"force": ForceGoal({"z": -5.0}), "observer": 50.0, "axes": "tool"}, "axes of the world"),
         ({"observer": 0.0}, "the rate of the observer"),
     ],
 )
@@ -327,21 +354,23 @@ def test_safety_refuses_friction_without_torque() -> None:
         Safety(velocity_cutoff=0.0)
 
 
-def test_force_goal_is_reached_against_a_soft_wall(pose: PoseTask) -> None:
-    """A wall of 5 kN/m below the tool, felt through the observer alone."""
-    controller = ImpedanceController(
-        pose, pose.hold(REST), force=ForceGoal({"z": -10.0}, rate=8.0), observer=100.0, damping_ratio=1.0
-    )
-    floor, force = pose.value(REST)[2] - 0.002, []
+@pytest.mark.parametrize("axes", ["world", "tool"])
+def test_force_goal_is_reached_against_a_soft_wall(pose: PoseTask, axes: str) -> None:
+    """A wall of 5 kN/m below the tool, or in front of it along its own slanting z-axis, felt through the observer."""
+    goal = ForceGoal({"z": 10.0 if axes == "tool" else -10.0})
+    controller = ImpedanceController(pose, pose.hold(REST), force=goal, observer=100.0, damping_ratio=1.0, axes=axes)
+    z, force = pose.value(REST), []
+    into = z[3:].reshape(3, 3)[:, 2] if axes == "tool" else np.array([0.0, 0.0, -1.0])
+    across = np.eye(3) - np.outer(into, into)
 
     def wall(q: np.ndarray) -> np.ndarray:
-        z, J = pose.linearize(q)
-        force.append(5000.0 * max(floor - z[2], 0.0))
-        return force[-1] * J[2]
+        here, J = pose.linearize(q)
+        force.append(5000.0 * max(into @ (here[:3] - z[:3]) - 0.002, 0.0))
+        return -force[-1] * into @ J[:3]
 
     q, _ = settled(controller, REST, wall, duration=3.0)
     assert abs(force[-1] - 10.0) < 0.05
-    assert np.abs(pose.minus(pose.value(q), pose.value(REST))[:2]).max() < 1e-3
+    assert np.abs(across @ pose.minus(pose.value(q), z)[:3]).max() < 1e-3
 
 
 def test_self_motion_yields_before_the_task() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from eos_pin._arrays import JointVector
 from eos_pin.control.compliant.additions import Additions
 from eos_pin.control.compliant.memory import ImpedanceState
@@ -41,11 +43,16 @@ def energies_of(
     injected = {"moving targets": done - given + damping}
     if state.sampled is not None:
         seen = additions.velocity(t, dq, state.sampled)
+        own = sum((weight * law.torque(t, q, seen, z, J) for weight, law in pairs), np.zeros(q.size))
         if seen is not dq:
-            filtered = sum(weight * float(law.torque(t, q, seen, z, J).dot(dq)) for weight, law in pairs)
-            injected["filter of velocities"] = filtered - done
-        added = additions.torques(t, q, dq, state.laws[-1].frame(J), state.sampled)
-        injected |= {name: state.part(t, blend) * float(tau.dot(dq)) for name, tau in added.items()}
+            injected["filter of velocities"] = float(own.dot(dq)) - done
+        part = state.part(t, blend)
+        added = additions.torques(state.laws[-1], t, q, dq, J, state.sampled)
+        tau = additions.task.robot._gravity(q) + own + part * sum(added.values())
+        shaping = additions.shaping(state.laws[-1], t, q, dq, z, J, tau, state.sampled)
+        if shaping is not None:
+            added["inertia shaping"] = shaping
+        injected |= {name: part * float(torque.dot(dq)) for name, torque in added.items()}
     if (left := state.left(t, blend)) is not None:
         injected["mode before"] = float(left.dot(dq))
     return Energies(kinetic, springs, state.tank, damping, injected)

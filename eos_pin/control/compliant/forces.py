@@ -18,22 +18,30 @@ from eos_pin.tasks.base import Task
 class ForceGoal:
     """Force that the robot is to exert on its environment along some coordinates of the task.
 
-    Along them there is no spring; the damping stays. The force is f_d + rate ∫ (f_d − f) dt with the force f that is
+    Along them there is no spring; the damping D stays. The force is f_d + rate ∫ (f_d − f) dt with the force f that is
     measured or observed. Without contact the tool moves on with f_d over its damping.
 
+    In contact of any stiffness that is stable for rates below D over the mass M along that direction: the loop is
+    M s³ + D s² + k s + k rate, stable for D k > M rate k. The default leaves half of the damping. Towards a
+    surface that recedes with an acceleration a the force is off by about D a / rate.
+
     Attributes:
-        forces: Wanted force by label of the coordinate, such as `{"z": -10.0}` to press downwards [N, N m].
-        rate: Rate at which an error of the force is forgotten [1/s].
+        forces: Wanted force by label of the coordinate, along the axes of the controller's gains, such as
+            `{"z": -10.0}` to press downwards with those of the world [N, N m].
+        rate: Rate at which an error of the force is forgotten [1/s]; by default half of D / M where the mode or
+            the chart begins.
         most: Largest part of the integral, as a multiple of the wanted force and at least so many newtons.
     """
 
     forces: Mapping[str, float]
-    rate: Positive = 10.0
+    rate: float | None = None
     most: Positive = 2.0
 
     def __post_init__(self) -> None:
         if not self.forces:
             raise InputError("a ForceGoal needs at least one force, such as {'z': -10.0}")
+        if self.rate is not None:
+            number(self.rate, "the rate of a ForceGoal", above=0.0)
         object.__setattr__(
             self, "forces", {str(key): number(f, f"the force along {key}") for key, f in self.forces.items()}
         )
@@ -58,7 +66,7 @@ class ForceGoal:
         force[self._rows(task)] = list(self.forces.values())
         return force
 
-    def _integrated(self, integral: Vector, exerted: Vector, past: float, task: Task) -> Vector:
+    def _integrated(self, integral: Vector, exerted: Vector, past: float, task: Task, rates: Vector) -> Vector:
         """The integral after some time.
 
         Args:
@@ -66,9 +74,11 @@ class ForceGoal:
             exerted: Force on the environment, (m,).
             past: Time [s].
             task: The task.
+            rates: Rates where none is given, (m,) [1/s].
         """
         wanted, rows = self._wanted(task), self._rows(task)
         found = integral.copy()
+        rate = rates[rows] if self.rate is None else self.rate
         bound = self.most * np.maximum(np.abs(wanted[rows]), 1.0)
-        found[rows] = np.clip(found[rows] + self.rate * past * (wanted - exerted)[rows], -bound, bound)
+        found[rows] = np.clip(found[rows] + rate * past * (wanted - exerted)[rows], -bound, bound)
         return found

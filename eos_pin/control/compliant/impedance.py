@@ -71,6 +71,8 @@ class ImpedanceController(Controller):
         observer: Rate of a momentum observer of external torques [1/s]; None without. It needs a sampled loop.
         wrench: Measured force of the environment on the task, as a function of time, (m,) [N, N m]; it is used in the
             place of the observer.
+        inertia: M_d of the task, in the forms of the stiffness, to be felt in the place of the robot's own [kg, kg m²].
+            It needs the external force; damping by a ratio is then for it.
         compensate_external: Whether the external force on z is compensated, so that pushes leave the task where it is.
         force: Forces wanted along some coordinates of the task.
         atlas: Rule by which charts follow each other; by default that of `Atlas(task)`.
@@ -102,6 +104,7 @@ class ImpedanceController(Controller):
         safety: Safety | None = None,
         observer: float | None = None,
         wrench: Callable[[float], Any] | None = None,
+        inertia: GainLike | None = None,
         compensate_external: bool = False,
         force: ForceGoal | None = None,
         atlas: Atlas | None = None,
@@ -126,6 +129,8 @@ class ImpedanceController(Controller):
             raise InputError(f"axes must be 'world' or 'tool', got {axes!r}")
         if axes == "tool":
             check_tool_axes(task, rotations)
+        if force is not None:
+            force._check(task)
         labels, units = task.labels, task.units
         r = task.robot.n - task.m
         own, one = [f"v{k + 1}" for k in range(r)], ["rad"] * r
@@ -142,9 +147,15 @@ class ImpedanceController(Controller):
             axes=axes,
             clips=clips_of(largest_error),
             feedforward=feedforward,
-            free=() if force is None else tuple(self._checked_force(force, axes)),
+            free=() if force is None else tuple(force._rows(task)),
         )
-        if (compensate_external or force is not None) and observer is None and wrench is None:
+        shaped = None if inertia is None else gain_matrix(inertia, labels, units, "the inertia", definite=True)
+        if shaped is not None and (compensate_external or force is not None):
+            raise InputError(
+                "a designed inertia answers to the external force, which compensate_external takes away and a "
+                "ForceGoal sets: give one of the three"
+            )
+        if (compensate_external or force is not None or shaped is not None) and observer is None and wrench is None:
             raise InputError("external forces must be known: give observer=50.0 or a measured wrench")
         self.additions = Additions(
             task=task,
@@ -153,6 +164,7 @@ class ImpedanceController(Controller):
             wrench=wrench,
             compensate=compensate_external,
             goal=force,
+            inertia=shaped,
         )
         self.blend = number(blend, "the time of a blend", above=0.0)
         self.tank = number(tank, "the energy of the tank", at_least=0.0)
@@ -164,13 +176,6 @@ class ImpedanceController(Controller):
                 "take it over: loop.controller = loop.controller.with_mode(…)"
             )
         super().__setattr__(name, value)
-
-    def _checked_force(self, force: ForceGoal, axes: str) -> list[int]:
-        """Rows of the task along which a force is wanted."""
-        if axes == "tool":
-            raise InputError("forces are wanted along the axes of the world; give axes='world' with them")
-        force._check(self.task)
-        return force._rows(self.task)
 
     # -- modes -------------------------------------------------------------------------------------------------------
 
@@ -260,15 +265,19 @@ class ImpedanceController(Controller):
                 tau += weight * law.torque(t, q, seen, z, J)
         if sampled is None and state.carried is None:
             return tau, None
-        A, added = state.laws[-1].frame(J), np.zeros(q.size)
+        law, added = state.laws[-1], np.zeros(q.size)
         if sampled is not None:
-            added += state.part(t, self.blend) * sum(self.additions.torques(t, q, dq, A, sampled).values())
+            part = state.part(t, self.blend)
+            added += part * sum(self.additions.torques(law, t, q, dq, J, sampled).values())
+            shaping = self.additions.shaping(law, t, q, dq, z, J, tau + added, sampled)
+            if shaping is not None:
+                added += part * shaping
         if (left := state.left(t, self.blend)) is not None:
             added += left
         tau += added
         if self.additions.safety.yielding and (np.abs(tau) > self.robot.effort).any():
+            A, m = law.frame(J), self.task.m
             Q = pulled_back(A, tau - gravity)
-            m = self.task.m
             tau = tau if Q is None else yielded(tau, Q[m:].dot(A[m:]), self.robot.effort)
         return tau, added
 
@@ -292,7 +301,7 @@ class ImpedanceController(Controller):
             return tau, state
         if sampled is None:
             return self._torques(t, q, dq, state, z, J)[0], state
-        sampled = self.additions.advance(t, q, dq, state.laws[-1].frame(J), sampled)
+        sampled = self.additions.advance(state.laws[-1], t, q, dq, J, sampled)
         state = state._replace(sampled=sampled)
         tau, added = self._torques(t, q, dq, state, z, J)
         assert added is not None
@@ -372,6 +381,7 @@ class ImpedanceController(Controller):
             "blend": self.blend,
             "tank": self.tank,
             "observer": None if self.additions.observer is None else self.additions.observer.rate,
+            "inertia": None if self.additions.inertia is None else plain(self.additions.inertia),
             "compensate_external": self.additions.compensate,
             "force": None if self.additions.goal is None else dict(self.additions.goal.forces),
             "robot": self.robot.name,

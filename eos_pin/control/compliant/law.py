@@ -28,9 +28,12 @@ from eos_pin.control.compliant.springs import Clip, rotation_rows, tool_axes
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Point
-from eos_pin.trajectories.base import Trajectory
+from eos_pin.trajectories.base import Target, Trajectory
 
 Springs = use_compiled(plain_springs.Springs)
+
+#: Rate at which an error of a force is forgotten, as a part of the damping over the mass.
+FORCE_RATE = 0.5
 
 #: Joints at which the self-motion's spring is anchored: one posture, or joints with two derivatives over time.
 Anchor: TypeAlias = "JointVector | Callable[[float], tuple[JointVector, JointVector, JointVector]]"
@@ -122,12 +125,12 @@ class ImpedanceLaw:
         self._e_z, self._e_v = self._e[:m], self._e[m:]
         self._local_K = np.zeros((n, n))
         self._local_K[:m, :m], self._local_K[m:, m:] = gains.stiffness, gains.self_motion_stiffness
-        K = self._along(self._local_K)
-        D = self._designed(K, q)
+        self.D = D = self._designed(self._along(self._local_K), q)
         self._local_D = self._along(D, back=True)
-        for X in (K, self._local_K):
-            X[list(gains.free)], X[:, list(gains.free)] = 0.0, 0.0
-        self.K, self.D = K, D
+        #: Rates at which errors of wanted forces are forgotten, where none is given, (m,) [1/s].
+        self.force_rates = self._force_rates(q) if gains.free else np.zeros(m)
+        self._local_K[list(gains.free)], self._local_K[:, list(gains.free)] = 0.0, 0.0
+        self.K = K = self._along(self._local_K)
         self._clips = self._bounds(n)
         #: Springs and dampers in one, where targets are at rest and no spring is bounded.
         self.at_rest: Any = None
@@ -149,9 +152,7 @@ class ImpedanceLaw:
         ratio, given_z, given_v = gains.damping_ratio, gains.damping, gains.self_motion_damping
         D = np.zeros_like(K)
         if given_z is None or given_v is None:
-            H = np.linalg.inv(self._A)
-            M = H.T @ self._weightless._mass(q) @ H
-            M = 0.5 * (M + M.T)
+            M = self._mass(q)
             if given_z is None and given_v is None:
                 return damping_of(M, K, ratio)
             if given_z is None:
@@ -163,6 +164,17 @@ class ImpedanceLaw:
         if given_v is not None:
             D[m:, m:] = given_v
         return D
+
+    def _mass(self, q: JointVector) -> Square:
+        """Mass matrix HᵀMH of w = (z, v), for G' at q as it is in [G'; Wᵀ]."""
+        H = np.linalg.inv(self._A)
+        M = H.T @ self._weightless._mass(q) @ H
+        return 0.5 * (M + M.T)
+
+    def _force_rates(self, q: JointVector) -> Vector:
+        """A part of the damping over the mass along each axis of the gains, where others are free to give way."""
+        mobility = self._along(np.linalg.inv(self._mass(q)), back=True)
+        return FORCE_RATE * (np.diag(self._local_D) * np.diag(mobility))[: self.m]
 
     def _bounds(self, n: int) -> tuple[Clip, ...]:
         units, m = np.array(self.chart.task.units), self.m
@@ -214,6 +226,17 @@ class ImpedanceLaw:
         self._G[:] = J
         return self._spring(q, z, *self._targets(t)).dot(self._A)
 
+    def designed(
+        self, t: float, q: JointVector, z: Point, inertia: Square
+    ) -> tuple[TaskVector, Square, Square, Target]:
+        """Force of the task's springs, a designed inertia and its damping along the world's axes, and the target."""
+        m, target = self.m, self.reference(t)
+        spring = self._spring(q, z, *self._targets(t))[:m].copy()
+        M = self._along(np.pad(inertia, (0, len(self.K) - m)))[:m, :m]
+        given = self.gains.damping
+        D = damping_of(M, self.K[:m, :m], self.gains.damping_ratio) if given is None else self.D[:m, :m]
+        return spring, M, D, target
+
     def power(self, dq: JointVector, J: Jacobian) -> float:
         """Power that the dampers take of motion at these joint velocities [W]."""
         self._G[:] = J
@@ -235,6 +258,12 @@ class ImpedanceLaw:
         if self._turning:
             self._turn(z_d)
         return z_d, q_d
+
+    def axes(self, t: float) -> Square | None:
+        """Matrix (m, m) that turns components along the axes of the gains into those of the world; None for these."""
+        if self._turning:
+            self._turn(self.reference(t).z)
+        return self._T
 
     def _turn(self, z_d: Point) -> None:
         """Turn the gains with the tool's target."""
