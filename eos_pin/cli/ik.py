@@ -24,6 +24,7 @@ from eos_pin.cli.output import (
 )
 from eos_pin.errors import InputError
 from eos_pin.experiments.options import (
+    MetricName,
     RobotOptions,
     TaskOptions,
 )
@@ -40,6 +41,7 @@ def ik(
     to: tuple[float, ...] = (),
     v: tuple[float, ...] = (),
     path: Path | None = None,
+    metric: MetricName = "identity",
 ) -> int:
     """Find joints for a task point and self-motion coordinates, or along a path.
 
@@ -56,6 +58,7 @@ def ik(
             by row; for an orientation these without x y z. In a CSV file the names of the columns say which is which.
         v: Self-motion coordinates [rad or m]; by default 0, the value at q0.
         path: CSV file to follow instead of one point, as that of `eos-pin track`.
+        metric: Metric of the charts in which v is counted, as that of `eos-pin track`.
 
     For example:
 
@@ -82,11 +85,11 @@ def ik(
         curve = path_from_csv(path, goal, q)
         say_notes(curve)
         times = points_along(curve)
-        found = Atlas(goal).follow(q, [curve(t).z for t in times.tolist()], v=v_goal)
+        found = Atlas(goal, metric=metric).follow(q, [curve(t).z for t in times.tolist()], v=v_goal)
         residual, message, strategy, joints = found.residual, found.message, "path", found.q
     else:
         z = task_point(goal, to, q) if to else goal.value(q)
-        reached = Atlas(goal).solve(q, z, v=v_goal, points=100)
+        reached = Atlas(goal, metric=metric).solve(q, z, v=v_goal, points=100)
         residual, message, strategy, found = reached.residual, reached.message, reached.strategy, reached.path
         # Of a search only the end counts.
         joints = np.linspace(q, reached.q, 101) if found is None else found.q

@@ -27,6 +27,7 @@ from eos_pin.experiments.commanded import commanded_loop, run_commanded
 from eos_pin.experiments.options import (
     ControllerName,
     ControlOptions,
+    MetricName,
     PathOptions,
     RobotOptions,
     RunOptions,
@@ -127,6 +128,7 @@ def compare(
         "null-space-posture",
         "set-point",
     ),
+    metric: MetricName = "identity",
 ) -> int:
     """Compare EOS control with traditional controllers on the same robot and path: a table and a figure.
 
@@ -137,6 +139,7 @@ def compare(
         simulation: How it is simulated.
         output: Results to keep.
         controllers: Which controllers, the first one in the replay.
+        metric: Metric of the charts of those that have any.
 
     For example:
 
@@ -154,7 +157,7 @@ def compare(
     duration = path.length(reference)
     results: dict[str, Result] = {}
     for kind in controllers:
-        controller = ControlOptions(kind).make(goal, reference, q, simulation.control_period)
+        controller = ControlOptions(kind, metric=metric).make(goal, reference, q, simulation.control_period)
         with progress(output, machine, q, duration, f"{machine.name}: {kind}") as observer:
             results[kind] = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer)
     summaries = {name: result.summary() for name, result in results.items()}

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from eos_pin.tasks.base import Task
     from eos_pin.trajectories.base import Trajectory
 
+MetricName = Literal["identity", "inertial"]
 ControllerName = Literal[
     "eos",
     "eos-limited",
@@ -176,7 +177,7 @@ class ControlOptions:
     self_motion_stiffness: float = 20.0
     damping_ratio: float = 0.7
     chart_margin: float = 0.5
-    metric: Literal["identity", "inertial"] = "identity"
+    metric: MetricName = "identity"
     command: Literal["torque", "position", "velocity"] = "torque"
     acceleration: float | None = None
 

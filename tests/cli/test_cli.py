@@ -111,7 +111,7 @@ def test_track_takes_a_path_from_a_file_and_names_points_out_of_reach() -> None:
 
 def test_compare_shows_the_difference_of_controllers() -> None:
     words = ["--controllers", "eos", "null-space-posture", "set-point", "--period", "2", "--cycles", "2"]
-    found = figures("compare", "panda", *words, "--plot", "comparison.pdf")
+    found = figures("compare", "panda", *words, "--metric", "inertial", "--plot", "comparison.pdf")
     assert list(found) == ["eos", "null-space-posture", "set-point"]
     assert found["set-point"]["task_error_max"] > 1e3 * found["eos"]["task_error_max"]
     assert Path("comparison.pdf").read_bytes()[:4] == b"%PDF"
@@ -122,6 +122,10 @@ def test_ik_reaches_a_point_and_follows_a_path() -> None:
     found = figures("ik", "panda", "--to", "0.4", "0.1", "0.5", "--v", "0.2", "0", "0", "0")
     assert found["status"] == "finished"
     assert found["task_error_max"] < 1e-9
+    inertial = figures("ik", "panda", "--to", "0.4", "0.1", "0.5", "--v", "0.2", "0", "0", "0", "--metric", "inertial")
+    assert inertial["task_error_max"] < 1e-9
+    # v counts other directions.
+    assert np.abs(np.array(inertial["q"]) - found["q"]).max() > 0.01
     Path("path.csv").write_text("0,0.45,0,0.7\n1,0.45,0.2,0.6\n")
     assert main(["ik", "panda", "--path", "path.csv", "--csv", "joints.csv"]) == 0
     assert np.loadtxt("joints.csv", delimiter=",", skiprows=1).shape == (101, 8)
