@@ -42,6 +42,7 @@ from eos_pin import (
     TaskForce,
     load_robot,
     simulate,
+    simulate_sampled,
 )
 from eos_pin.cli.main import run
 from eos_pin.cli.output import console, grid, stderr, write_json
@@ -235,11 +236,78 @@ def motion(name: str, kind: str, metric: str) -> Motion:
     )
 
 
+class Soft(NamedTuple):
+    """A figure eight under impedance control at 1 kHz, with the spring of v anchored at the start, and a push at rest.
+
+    Attributes:
+        status: Status of the run.
+        charts: Charts used.
+        speed: Largest joint speed [rad/s or m/s].
+        error: Largest task error, of lengths or angles [m or rad].
+        yields: How far a push at the elbow, along the self-motion that moves it most, moves the tool at rest [m].
+    """
+
+    status: str
+    charts: int
+    speed: float
+    error: float
+    yields: float
+
+
+def soft(name: str, kind: str, metric: str) -> Soft:
+    """A round under impedance control, and K_z⁻¹(Hᵀτ_ext)_z of a push at the elbow, the median of postures."""
+    task = task_of(name, kind)
+    robot, q = task.robot, rest_posture(task)
+    path, atlas = fitting_path(task, q), Atlas(task, metric=metric)
+    law = ImpedanceController(task, path, atlas=atlas)
+    run = simulate_sampled(robot, law, q, duration=min(path.period, 4.0), control_period=1e-3, torque_limits=False)
+    middle = (robot.model.njoints + 1) // 2
+    elbow = PositionTask(robot, next(f.name for f in robot.model.frames if f.parentJoint == middle))
+    moved = []
+    for x in postures(task, 40):
+        chart, E = Chart.from_base(task, x, metric=metric), elbow.linearize(x)[1]
+        force = PUSH * np.linalg.svd(E @ chart.V)[0][:, 0]
+        Q = np.linalg.solve(np.vstack((task.linearize(x)[1], chart.Wt)).T, E.T @ force)
+        moved.append(float(np.linalg.norm(np.linalg.solve(law.gains.stiffness, Q[: task.m])[:3])))
+    finished = np.isfinite(run.dq).all(axis=1)
+    return Soft(
+        run.status, len(run.switches) + 1, float(np.abs(run.dq[finished]).max()), float(np.abs(run.error).max()),
+        median(moved),
+    )  # fmt: skip
+
+
+def soft_rows() -> tuple[list[list[str]], str]:
+    """Table of impedance control by metric, and what it comes to."""
+    cases = [(name, kind) for name in ROBOTS for kind in KINDS]
+    ran = {
+        (*case, metric): soft(*case, metric)
+        for case in track(cases, description="impedance", console=stderr, transient=True)
+        for metric in METRICS
+    }
+    rows = [
+        [*key, s.status, str(s.charts), f"{s.speed:.2g}", f"{1e3 * s.error:.2g}", f"{1e3 * s.yields:.2g}"]
+        for key, s in ran.items()
+    ]
+    pairs = [(ran[(*case, "identity")], ran[(*case, "inertial")]) for case in cases]
+    both = [(a, b) for a, b in pairs if a.status == b.status == "finished"]
+    good = [sum(pair[k].status == "finished" for pair in pairs) for k in (0, 1)]
+    charts = [sum(pair[k].charts for pair in both) for k in (0, 1)]
+    yields, speed = median(a.yields / b.yields for a, b in pairs), median(b.speed / a.speed for a, b in both)
+    verdict = (
+        f"\n\nUnder impedance control a push at the elbow moves the tool {yields:.2g} times as far on the paper's "
+        f"charts as on inertial ones. Of {len(pairs)} figure eights {good[0]} are finished on the paper's charts and "
+        f"{good[1]} on inertial ones; where both are, these have {charts[1]} charts instead of {charts[0]}, and the "
+        f"fastest joint is {speed:.2g} times as fast.\n"
+    )
+    return rows, verdict
+
+
 def metrics(
     *,
     postures_each: Annotated[int, tyro.conf.arg(name="postures")] = 200,
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
     write: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    soft_only: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> int:
     """Compare charts with the metric of the paper and with the mass matrix.
 
@@ -247,7 +315,26 @@ def metrics(
         postures_each: Postures of each robot and task.
         json_file: File for the figures.
         write: Write the tables of docs/metric.md.
+        soft_only: Leave out all but impedance control.
     """
+    softly, told_softly = soft_rows()
+    columns: tuple[str, ...] = (
+        "robot",
+        "task",
+        "metric",
+        "run",
+        "charts",
+        "fastest joint",
+        "z error",
+        "z, elbow pushed",
+    )
+    console.print(grid("impedance", columns, softly))
+    console.print(told_softly, soft_wrap=True)
+    if write:
+        fill(DOCUMENT, "impedance", "\n" + table(columns, softly))
+        fill(DOCUMENT, "impedance verdict", told_softly)
+    if soft_only:
+        return 0
     looks, costs = coupling_rows(postures_each), cost_rows()
     cases = [(name, kind) for name in ROBOTS for kind in KINDS]
     ran = {

@@ -57,6 +57,11 @@ class Outcome(NamedTuple):
     within: bool
     moved: float
 
+    @property
+    def stable(self) -> bool:
+        """Whether everything stayed finite."""
+        return bool(np.isfinite(self.gained))
+
 
 def modes(first: ImpedanceController, random: np.random.Generator) -> ImpedanceController:
     """A mode at random."""
@@ -149,7 +154,7 @@ def drawn(found: dict[float, Sequence[Outcome]]) -> Figure:
     axes = figure.subplots()
     h = 1e3 * np.array(list(found))
     for part, name in ((1.0, "most of all runs"), (0.99, "99 % of runs gain less"), (0.95, "95 % of runs gain less")):
-        energies = [np.quantile([one.gained for one in runs], part) for runs in found.values()]
+        energies = [np.quantile([one.gained for one in runs if one.stable], part) for runs in found.values()]
         axes.loglog(h, np.maximum(energies, GAINED), "o-", label=name)
     axes.set_xlabel("control period [ms]")
     axes.set_ylabel(f"energy gained [J], at least {GAINED:g}")
@@ -161,11 +166,18 @@ def drawn(found: dict[float, Sequence[Outcome]]) -> Figure:
 
 def line(period: float, found: Sequence[Outcome]) -> list[str]:
     """Row of the table for a period."""
-    gained = np.array([one.gained for one in found])
+    stable = [one for one in found if one.stable]
+    gained = np.array([one.gained for one in stable])
     most = float(gained.max())
     numbers = [str(len(found)), str(sum(one.touched for one in found)), str(sum(one.charts for one in found))]
-    part = most / found[int(gained.argmax())].moved
-    numbers += [str(int((gained > GAINED).sum())), f"{most:.3g}", f"{part:.1%}", f"{most / period:.0f}"]
+    part = most / stable[int(gained.argmax())].moved
+    numbers += [
+        str(len(found) - len(stable)),
+        str(int((gained > GAINED).sum())),
+        f"{most:.3g}",
+        f"{part:.1%}",
+        f"{most / period:.0f}",
+    ]
     return [f"{1e3 * period:g}", *numbers, f"{min(one.tank for one in found):.3g}"]
 
 

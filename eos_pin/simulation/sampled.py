@@ -145,7 +145,8 @@ def simulate_sampled(
             if not (k and dropout) or random.random() >= dropout:
                 tau = loop.step(t, *measured[0])
             if loop.state is not system.state:
-                if k:
+                # A memory changes for other reasons, too.
+                if k and controller._chart(loop.state) is not controller._chart(system.state):
                     record.switches.append(t)
                 system.state = loop.state
             for sample in record.due(t, end):

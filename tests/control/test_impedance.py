@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eos_pin import (
+    Atlas,
     AxisTask,
     ControlLoop,
     ForceGoal,
@@ -26,7 +27,9 @@ from eos_pin import (
     Safety,
     TaskForce,
     circle,
+    figure_eight,
     simulate,
+    simulate_sampled,
 )
 from eos_pin.control.compliant.gains import damping_of
 from eos_pin.control.compliant.observer import MomentumObserver
@@ -171,6 +174,13 @@ def test_moving_targets_are_followed_without_error(pose: PoseTask) -> None:
     assert np.abs(result.error[-20:]).max() < 1e-4
     chart, t = controller.start(0.0, REST, REST).chart, result.t[-1]
     assert np.abs(chart.v(result.q[-1]) - chart.v(swing(t)[0])).max() < 1e-3
+
+
+def test_run_counts_changes_of_charts_and_not_those_of_the_memory(task: PositionTask) -> None:
+    path = figure_eight(task.value(REST), 0.1, period=2.0, plane="yz")
+    controller = ImpedanceController(task, path, atlas=Atlas(task, threshold=0.97, metric="inertial"))
+    run = simulate_sampled(task.robot, controller, REST, duration=0.5, control_period=2e-3)
+    assert len(run.switches) == run.chart[-1] > 0
 
 
 def test_feedforward_is_gone_where_targets_rest(pose: PoseTask) -> None:
