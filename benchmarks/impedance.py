@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from chains import cpu
+from marked import HOME, fill, table
 
 from eos_pin import (
     Atlas,
@@ -136,10 +137,11 @@ def laws(task: PoseTask, q: np.ndarray) -> dict[str, Impedance]:
     return found
 
 
-def steps(robot: Robot, rounds: int) -> None:
+def steps(robot: Robot, rounds: int) -> list[list[str]]:
     """Time of a step of a loop in slow motion, beside that of `EosController`; rounds in which both take turns."""
     random = np.random.default_rng(0)
     way = np.cumsum(2e-4 * random.normal(size=(200, robot.n)), axis=0)
+    rows = []
     for task in (PositionTask(robot, TOOL), PoseTask(robot, TOOL)):
         hold = task.hold(REST)
         loops = ControlLoop(EosController(task, hold)), ControlLoop(ImpedanceController(task, hold))
@@ -155,16 +157,23 @@ def steps(robot: Robot, rounds: int) -> None:
             f"{type(task).__name__:14} EOS {eos:6.2f} µs, impedance {soft:6.2f} µs, ratio {np.median(ratios):.2f} "
             f"(90 % below {np.quantile(ratios, 0.9):.2f})"
         )
+        kind = type(task).__name__.removesuffix("Task").lower()
+        rows.append([kind, f"{eos:.3g}", f"{soft:.3g}", f"{np.median(ratios):.2f}"])
+    return rows
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--postures", type=int, default=5)
     parser.add_argument("--steps", type=int, default=0, help="only time steps, in so many rounds")
+    parser.add_argument("--write", action="store_true", help="write the times into docs/impedance.md")
     arguments = parser.parse_args()
     robot = load_robot("panda", chain_to=TOOL)
     if arguments.steps:
-        steps(robot, arguments.steps)
+        rows = steps(robot, arguments.steps)
+        if arguments.write:
+            columns = ("task of Panda", "EOS [µs]", "impedance [µs]", "ratio")
+            fill(HOME / "docs" / "impedance.md", "steps", "\n" + table(columns, rows))
         return
     task = PoseTask(robot, TOOL)
     chosen = [REST, *postures(robot, task, arguments.postures - 1)]

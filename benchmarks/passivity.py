@@ -4,9 +4,9 @@
 
 A run is passive where the work of external torques is at least the change of kinetic, spring and tank energy. A torque
 that is held for a period is late by half of it, so that a run may gain c h; the table has c for several periods. With
---limits the runs have observer, filter, friction, joint limits, singular starts, and limits of torques and their rates
-instead, and all that is counted is whether everything stays finite and within them. With --write the counts and the
-figure of the energy against the period go into docs/impedance.md.
+--limits the runs have observer, filter, friction, joint limits, designed inertias, singular starts, and limits of
+torques and their rates instead, and all that is counted is whether everything stays finite and within them. With
+--write the counts and the figure of the energy against the period go into docs/impedance.md.
 """
 
 from __future__ import annotations
@@ -104,6 +104,9 @@ def run(robot: Robot, seed: int, period: float, limits: bool) -> Outcome:
         friction = Friction(viscous=0.5, coulomb=0.3)
         safety = Safety(velocity_cutoff=60.0, friction=friction, limit_stiffness=50.0, yielding=True)
         additions = {"safety": safety, "observer": 30.0, "compensate_external": seed % 4 == 0}
+        if seed % 4 and seed % 5 == 1:
+            scale = 10.0 ** random.uniform(-0.5, 1.0)
+            additions["inertia"] = {unit: scale * (4.0 if unit == "m" else 0.1) for unit in task.units}
     first = ImpedanceController(task, task.hold(q), tank=0.2, blend=0.1, **additions)
     plant = MujocoPlant.from_robot(robot)
     loop = ControlLoop(first, torque_limits=limits, torque_rate=RATE if limits else None, jump=1.0)

@@ -183,6 +183,25 @@ def test_run_counts_changes_of_charts_and_not_those_of_the_memory(task: Position
     assert len(run.switches) == run.chart[-1] > 0
 
 
+def test_feedforward_is_bounded_up_to_the_edge_of_its_chart(task: PositionTask) -> None:
+    """A law that fades out may be carried there, where [G'; Wᵀ] is singular."""
+    path = figure_eight(task.value(REST), 0.1, period=2.0, plane="yz")
+    both = [
+        ImpedanceController(task, path, feedforward=on, atlas=Atlas(task, metric="inertial")) for on in (True, False)
+    ]
+    laws = [controller.start(0.0, REST, 0.0 * REST).laws[0] for controller in both]
+    way, dq, sizes, margins = np.array([0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0]), np.full(7, 0.3), [], []
+    for s in np.linspace(0.0, 1.2, 250):
+        z, J = task.linearize(REST + s * way)
+        one, other = (law.torque(0.3, REST + s * way, dq, z, J) for law in laws)
+        sizes.append(np.abs(one - other).max())
+        margins.append(laws[0].chart.margin(J))
+    assert min(margins) < 0.02
+    assert max(sizes) < 10.0 * sizes[0]
+    # Well inside nothing is taken away: it is what errors need to obey their equation.
+    assert sizes[int(np.argmax(np.array(margins) < 0.7))] > 0.3 * sizes[0]
+
+
 def test_feedforward_is_gone_where_targets_rest(pose: PoseTask) -> None:
     """A target that comes to rest leaves the law of one that is held, whatever the speed."""
     z, rest = pose.value(REST), np.zeros(7)

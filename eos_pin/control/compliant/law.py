@@ -25,13 +25,15 @@ from eos_pin._kernels.plain_springs import shortened, turn_moment
 from eos_pin.charts.chart import Chart
 from eos_pin.control.compliant.gains import Square, damping_of
 from eos_pin.control.compliant.springs import Clip, rotation_rows, tool_axes
-from eos_pin.errors import InputError
+from eos_pin.errors import InputError, SingularError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Point
 from eos_pin.trajectories.base import Target, Trajectory
 
 Springs = use_compiled(plain_springs.Springs)
 
+#: Margin of a chart below which the feed-forward is lessened; atlases leave charts before it by default.
+EDGE = 0.4
 #: Rate at which an error of a force is forgotten, as a part of the damping over the mass.
 FORCE_RATE = 0.5
 
@@ -321,15 +323,30 @@ class ImpedanceLaw:
         tau = F.dot(self._A)
         if not (dw.any() or ddw.any()):
             return tau
+        part = self._inside()
+        if not part:
+            return tau
         A = self._A.copy()
         dq_r = np.linalg.solve(A, dw)
         ddw[: self.m] -= self._drift(q, dq, dq_r)
         ddq_r = np.linalg.solve(A, ddw)
         # C(q, a) b is symmetric in a and b, so it is the difference of two squares; likewise below.
         half, rest = 0.5 * (dq + dq_r), 0.5 * (dq - dq_r)
-        tau += self._weightless._inverse_dynamics(q, half, ddq_r)
-        tau -= self._weightless._bias(q, rest)
+        forward = self._weightless._inverse_dynamics(q, half, ddq_r) - self._weightless._bias(q, rest)
+        tau += part * forward
         return tau
+
+    def _inside(self) -> float:
+        """Part of the feed-forward that acts: all of it well within the chart, none at its edge.
+
+        A law that fades out may be carried to the edge of its chart, where H grows without bound.
+        """
+        try:
+            margin = self.chart._margin(self._G, enough=EDGE)
+        except SingularError:
+            return 0.0
+        # H grows with 1/margin, and accelerations with its square.
+        return min(max(margin / EDGE, 0.0), 1.0) ** 2
 
     def _drift(self, q: JointVector, dq: JointVector, other: JointVector) -> TaskVector:
         """Ġ'(q, dq) times other joint velocities, (m,)."""

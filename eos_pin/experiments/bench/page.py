@@ -236,6 +236,9 @@ friction), by task error and, among about equal ones, by drift. Pairs do not cou
 about the same noise in their torques, and differ by what they make of it. That is a small search, the same for all: a
 law whose best gains lie elsewhere is better than it looks here.
 
+The laws of others are in `eos_pin.control.rivals`, such as `eos_pin.control.rivals.sliding.SlidingModeController`: for
+comparisons, and no part of the names at the top of the package.
+
 Runs are paired by robot and seed. A law is worse than the best where its median ratio is above {1.0 + ALIKE:g}, its
 bootstrap interval lies above 1, and Wilcoxon's signed-rank test rejects at 5 % after Holm's correction for all laws of
 the setting. With less than {ENOUGH} pairs there is no winner. The {len(rows):,} runs took {total / 60.0:.1f} minutes
