@@ -296,6 +296,31 @@ def test_modes_in_quick_succession_wait_for_the_tank(pose: PoseTask) -> None:
     np.testing.assert_allclose(energies, energies[0], rtol=1e-12)
 
 
+@pytest.mark.parametrize("shaped", [False, True])
+def test_powers_are_the_rate_of_the_energy(pose: PoseTask, shaped: bool) -> None:
+    """Kinetic and spring energy, by differences along the motion, with moving targets and every addition."""
+    robot, place, push = pose.robot, pose.robot.placement(REST, TIP), np.array([0.0, 8.0, 0.0, 0.0, 0.5, 0.0])
+    path = PoseTrajectory(position=circle(place.translation, 0.1, period=2.0, plane="yz"), orientation=place.rotation)
+    W = np.linalg.svd(pose.linearize(REST)[1])[2][-1]
+    controller = ImpedanceController(
+        pose, path, posture=lambda t: (REST + 0.3 * math.sin(t) * W, 0.3 * math.cos(t) * W, -0.3 * math.sin(t) * W),
+        wrench=lambda t: push, inertia={"m": 6.0, "rad": 0.3} if shaped else None, compensate_external=not shaped,
+        safety=Safety(velocity_cutoff=20.0, friction=Friction(viscous=0.5), limit_stiffness=20.0, limit_zone=2.0),
+    )  # fmt: skip
+    loop, q, dq, step = ControlLoop(controller), REST + 0.05, np.linspace(-0.5, 0.5, 7), 1e-5
+    for k in range(30):
+        loop.step(k * PERIOD, q, dq)
+        q, dq = q + PERIOD * dq, dq - 0.002
+    t, state, external = 29 * PERIOD, loop.state, pose.linearize(q)[1].T @ push
+    ddq = robot.forward_dynamics(q, dq, controller.torque(t, q, dq, state) + external)
+    ends = [controller.energies(t + s, q + s * dq, dq + s * ddq, state) for s in (-step, step)]
+    rate = sum(sign * (end.kinetic + end.springs) for sign, end in zip((-1.0, 1.0), ends, strict=True)) / (2.0 * step)
+    found = controller.energies(t, q, dq, state)
+    assert len(found.injected) == 5
+    assert all(abs(power) > 1e-4 for power in found.injected.values()), found.injected
+    assert sum(found.injected.values()) - found.damping + external @ dq == pytest.approx(rate, rel=1e-5)
+
+
 @given(st.integers(0, 1000))
 def test_law_is_finite_at_any_state(panda: Robot, seed: int) -> None:
     random = np.random.default_rng(seed)
