@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from chains import cpu
@@ -27,7 +27,8 @@ from eos_pin import (
     load_robot,
 )
 from eos_pin.charts.chart import Chart
-from eos_pin.control.compliant.projected import ProjectedImpedance
+from eos_pin.control.rivals.parts import Consistency
+from eos_pin.control.rivals.projected import ProjectedImpedance
 
 Impedance: TypeAlias = ImpedanceController | ProjectedImpedance
 TOOL, ELBOW = "panda_hand_tcp", "panda_link4"
@@ -38,7 +39,6 @@ PERIOD = 1e-3
 #: Time after which the arm is at rest [s].
 SETTLED = 6.0
 REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
-CONSISTENCIES = ("kinematic", "dynamic", "stiffness")
 
 
 def postures(robot: Robot, task: PoseTask, count: int) -> Iterator[np.ndarray]:
@@ -130,7 +130,7 @@ def laws(task: PoseTask, q: np.ndarray) -> dict[str, Impedance]:
     shape = np.array([1.5, 1.5, 1.5, 1.5, 0.5, 0.5, 0.5])
     way = Chart.from_base(task, q).V[:, 0]
     K_q = shape * ELBOW_STIFFNESS / (way @ (shape * way))
-    for name in CONSISTENCIES:
+    for name in get_args(Consistency):
         found[f"{name} projector"] = ProjectedImpedance(
             task, hold, q, consistency=name, stiffness=STIFFNESS, joint_stiffness=K_q
         )

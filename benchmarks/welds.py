@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 import subprocess
 import sys
 import time
@@ -25,6 +24,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+import marked
 import numpy as np
 import pinocchio as pin
 
@@ -61,7 +61,6 @@ ACCEPTED = 1e-8
 BESIDE, ROUNDS, KP, KD = 0.05, 2, 100.0, 20.0
 #: A step of a joint beyond this is a jump [rad].
 JUMP = 0.5
-DOCUMENT = Path(__file__).parent.parent / "docs" / "planning.md"
 
 
 def weld(seed: int, reach: float, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -278,14 +277,10 @@ def summed(rows: list[dict[str, Any]]) -> str:
 
 
 def shown(name: str, lines: list[str], write: bool) -> None:
-    """Print a table, and put it into the document between its marks."""
+    """Print a table, and put it into the page on planning."""
     print("\n".join(lines))
     if write:
-        text = DOCUMENT.read_text(encoding="utf-8")
-        place = re.compile(f"(<!-- welds.py {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-        DOCUMENT.write_text(
-            place.sub(lambda found: found[1] + "\n".join(lines) + "\n" + found[2], text), encoding="utf-8"
-        )
+        marked.fill(marked.PLANNING, f"welds.py {name}", "\n" + "\n".join(lines) + "\n")
 
 
 def main() -> int:

@@ -1,7 +1,7 @@
 """Every exception that eos_pin raises.
 
-All derive from `EosError`, so one `except` catches what the package itself refuses. Each message says what was
-given, what is allowed and what to do; the data a program needs to react is kept in attributes.
+All derive from `EosError`, so one `except` catches what the package itself refuses. Each message has the value
+given, the values allowed and a remedy; the data a program needs to react is kept in attributes.
 """
 
 from __future__ import annotations

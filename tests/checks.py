@@ -253,3 +253,13 @@ def with_plain_limits(controller):
     """A limited controller with the plain form of the kernel that keeps its limits."""
     vars(controller)["_within"] = REFERENCES["Limits"](*controller._within.__reduce__()[1])
     return controller
+
+
+def task_and_eight(robot, kind, q):
+    """A task of the robot's tip, `"pose"` or axes of its position, and a figure eight through its point at q."""
+    if kind == "pose":
+        task = eos_pin.PoseTask(robot, tip(robot))
+        z = task.value(q)
+        return task, eos_pin.PoseTrajectory(eos_pin.figure_eight(z[:3], 0.1, plane="yz"), pose=z)
+    task = eos_pin.PositionTask(robot, tip(robot), kind)
+    return task, eos_pin.figure_eight(task.value(q), 0.1)

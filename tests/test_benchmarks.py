@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from checks import compiled_only
 
 sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
 
@@ -22,7 +23,7 @@ from sections import Effort, Section, steps
 from setting import RIGHT, Setting, both
 from sliding_mode import sliding_mode
 
-from eos_pin._kernels.dispatch import REFERENCES, kernels
+from eos_pin._kernels.dispatch import REFERENCES
 
 TINY = Effort(rounds=1, repeats=1, targets=2, robots=("panda",), steps=50, duration=0.1, runs=1)
 
@@ -161,7 +162,7 @@ def test_sliding_mode_has_error_and_chattering_of_eos_with_the_same_gains(tmp_pa
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(kernels is None, reason="installed without a C compiler")
+@compiled_only
 def test_compiled_benchmark_times_both_forms(tmp_path: Path) -> None:
     assert compiled.benchmark(rounds=1, json_file=tmp_path / "compiled.json") == 0
     found = json.loads((tmp_path / "compiled.json").read_text())

@@ -117,7 +117,7 @@ def pair(values: Any, name: str) -> list[Any]:
     """
     two = listed(values, name)
     if len(two) != 2:
-        raise InputError(f"{name} must be two things, got {len(two)}")
+        raise InputError(f"{name} must be a list of two, got {len(two)} of them")
     return two
 
 

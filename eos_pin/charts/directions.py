@@ -224,14 +224,14 @@ class Directions(Checked):
 
     @checked
     def system(self, J: Jacobian, F: JointVector) -> tuple[Array, Array, JointVector | None]:
-        """Linear system for the joint acceleration that `F` commands: ddq is A⁻¹b, or V F_v + U A⁻¹b for many joints.
+        """Linear system for the joint acceleration that `F` commands: ddq is A⁻¹b, or V F_v + Q A⁻¹b beyond 16 joints.
 
         Args:
             J: Jacobian G'(q).
             F: Acceleration of w = (z, v), the task's part without its drift, (n,).
 
         Returns:
-            A, b, and V F_v; the last is None where ddq is A⁻¹b.
+            A, b, and V F_v; the last is None where ddq is A⁻¹b. Q is `u_basis`.
         """
         n, m = self.U.shape
         if n <= DENSE_SOLVE:

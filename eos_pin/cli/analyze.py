@@ -28,7 +28,7 @@ def analyze(
 ) -> int:
     """Analyze joints recorded elsewhere: task path, self-motion, drift in each round, and use of limits.
 
-    Files go to runs/LOG-analysis unless --out says otherwise: run.npz, summary.json, replay.html, overview.png.
+    Files go to runs/LOG-analysis unless --out is given: run.npz, summary.json, replay.html, overview.png.
 
     Args:
         log: Table (.csv) with a column t [s] and one for each joint by its name [rad or m]; q_NAME and dq_NAME, the

@@ -55,7 +55,7 @@ def ik(
         output: Results to keep.
         to: Task point; by default that at q0. As many numbers as the task has axes, such as x y z [m]; for a pose x y z
             (the orientation stays), x y z roll pitch yaw [rad], x y z qx qy qz qw, or x y z and the rotation matrix row
-            by row; for an orientation these without x y z. In a CSV file the names of the columns say which is which.
+            by row; for an orientation these without x y z. In a CSV file the columns are found by their names.
         v: Self-motion coordinates [rad or m]; by default 0, the value at q0.
         path: CSV file to follow instead of one point, as that of `eos-pin track`.
         metric: Metric of the charts in which v is counted, as that of `eos-pin track`.

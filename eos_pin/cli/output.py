@@ -82,7 +82,7 @@ class Output:
         """Refuse options that a command has no use for.
 
         Raises:
-            InputError: One of them is given; says why it does not apply.
+            InputError: One of them is given.
         """
         for name in names:
             if getattr(self, name):

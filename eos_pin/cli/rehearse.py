@@ -26,7 +26,7 @@ class RealTime:
         speed: Speed along the path; 1 is its own.
         watchdog: Time without a command after which the robot is stopped [s].
         priority: Priority of the loop among the real-time threads of the machine, from 1 to 99; it takes the right to.
-        model_error: Largest relative error of masses, centres of mass and inertias that the controller does not know.
+        model_error: Largest relative error of masses, centres of mass and inertias in the controller's model.
         log: File for the log (.csv); by default runs/ROBOT-TASK/log.csv.
         json: File for the figures, machine-readable.
         seed: Seed of the model error.

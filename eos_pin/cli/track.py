@@ -52,7 +52,7 @@ def track(
 ) -> int:
     """Make a robot follow a path under EOS control; print, save and replay the run.
 
-    Files go to runs/ROBOT-TASK unless --out says otherwise: run.npz, summary.json, replay.html, overview.png.
+    Files go to runs/ROBOT-TASK unless --out is given: run.npz, summary.json, replay.html, overview.png.
 
     Args:
         robot: Which robot.

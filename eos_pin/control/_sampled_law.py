@@ -84,7 +84,7 @@ class MiddleOfPeriod:
     the middle, as reached under the torque that the last two lead to, it is off by the square of the period only.
 
     Args:
-        robot: The robot, as the controller knows it.
+        robot: The robot of the controller's model.
         period: Control period [s].
     """
 

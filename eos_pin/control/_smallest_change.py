@@ -6,7 +6,7 @@ it brakes with all the torque it has. Of the others, one after the other in a fi
 all that are kept before it. So a joint is lost only if it is hopeless, or joints before it exclude it.
 
 No continuous torque can drop a joint at once: where it can just be kept it takes all help, and where it just cannot,
-none. So the others go on helping a lost joint, up to where it lacks twice the least that it must lack. In this band
+none. So the others go on helping a lost joint, up to where it lacks twice the least that it must lack. In this range
 its help may still exclude joints after it. It is short: where the joint lacks twice the least, that grows e-fold in the
 time in which joints close in on their limits, 10 ms.
 """

@@ -65,7 +65,7 @@ class Controller(Checked, ABC):
     and examples/10_own_controller.py.
 
     Attributes:
-        robot: The model the controller knows, which need not be the plant; None where it knows none.
+        robot: The model that the controller uses, which need not be the plant; None if it has none.
         task: Task whose errors are recorded; None where there is none.
         reference: Trajectory of the task; None where there is none.
         control_period: Period at which it has to be called [s]; None where any will do.
@@ -239,7 +239,7 @@ class TaskController(Controller):
     The task stays: for another one a `ControlLoop` takes another controller.
 
     Args:
-        task: The task; its robot is the model the controller knows, which need not be the plant.
+        task: The task; its robot is the model that the controller uses, which need not be the plant.
         reference: Trajectory of the task.
         kp: Gain on the task error, one number or (m,) [1/s²].
         kd: Gain on the task's velocity error, one number or (m,) [1/s]; 2 √kp is critically damped.

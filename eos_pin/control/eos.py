@@ -37,9 +37,9 @@ from eos_pin.trajectories.base import Target, Trajectory
 
 
 def law_for(task: Task, given: Objective | None) -> Objective:
-    """Law of the self-motion beside a task, `Track()` by default; where r = 0 another one is refused."""
+    """Law of the self-motion beside a task, `Track()` by default; where r = 0 a law without a target is refused."""
     law = given or Track()
-    if task.m == task.robot.n and not isinstance(law, Track):
+    if task.m == task.robot.n and law.target(0.0, 0) is None:
         kind = type(law).__name__
         raise InputError(f"self_motion={kind} does not apply: the task takes all joints (r = 0); leave it out")
     return law
@@ -54,7 +54,7 @@ class EosController(TaskController):
     ε̈ + kd ε̇ + kp ε = 0 independently of each other.
 
     Near a singularity of the task the direction that is being lost is given up by degrees and braked there, so that the
-    torque stays bounded and continuous; it is taken up again as the rank returns. `task_deficit` says how much is lost:
+    torque stays bounded and continuous; it is taken up again as the rank returns. `task_deficit` is the lost part:
     nothing where joints are followed that have the task's point, such as those of a plan.
     Where the chart changes the torque is continuous, too: what the law then asks of v, it gets within 1/20 s.
 
@@ -133,10 +133,11 @@ class EosController(TaskController):
     def _check_objective(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> None:
         """Refuse a wrong shape of v_d or of its gains here, not in the middle of a run."""
         try:
+            self.self_motion._check(chart.n, chart.r)
             F_v = self.self_motion._acceleration(t, q, dq, chart)
         except ValueError as error:
             raise InputError(f"the self-motion objective does not fit this robot and task: {error}") from error
-        vector(F_v, chart.r, f"what {type(self.self_motion).__name__} asks of the self-motion")
+        vector(F_v, chart.r, f"the self-motion acceleration of {type(self.self_motion).__name__}")
         self.self_motion.check_start(t, q, chart)
 
     def _memory(self, chart: Chart, number: int) -> EosState:

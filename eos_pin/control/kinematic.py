@@ -253,7 +253,7 @@ class KinematicLoop:
             try:
                 state = state.seen(seen, self.robot, self._period, self._jump, self._most_lag)
             except StateError:
-                # If it was a jump, the next state is believed if it is near this one.
+                # If it was a jump, the next state is accepted if it is near this one.
                 self._state = state._replace(measured=seen)
                 raise
         state = self._next(t, state)

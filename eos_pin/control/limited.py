@@ -1,7 +1,7 @@
 """`LimitedEosController`: EOS control that keeps joint position, velocity, acceleration and torque limits.
 
 The torque of EOS control is used wherever it keeps all limits. Elsewhere a quadratic program changes the acceleration
-the least, and in a way that the task feels only where no sensible self-motion keeps the limits. Position limits are
+the least, and in a way that affects the task only where no sensible self-motion keeps the limits. Position limits are
 kept by viability: a joint is never allowed a speed from which it could not stop. The torque is bounded, and a
 continuous function of the state: limits are approached smoothly, and nothing is ever switched over.
 """
@@ -206,7 +206,7 @@ class JointLimits:
         """Limits of position and velocity that were passed in a run, by how much, and why; empty where none was.
 
         Args:
-            robot: The robot as the controller knows it.
+            robot: The robot of the controller's model.
             t: Times [s].
             q: Joints.
             dq: Joint velocities.
@@ -286,12 +286,12 @@ class LimitedEosController(EosController):
     the other in the order `keeping_order`, where that is possible together with those before: so a joint too weak for
     what it carries takes no stronger one along. Lost joints brake with what is left. So that the torque is continuous,
     a joint lost just now is still helped while it would lack more than twice the least acceleration that it must lack;
-    in this short time it may exclude joints after it. `overload` tells beforehand where gravity takes more torque than
-    there is.
+    in this short time it may exclude joints after it. `overload` lists beforehand the joints that cannot bear
+    gravity.
 
     A target may lead out of reach and come back; the task is then taken up again. But the law is local: an arm that
     went through a singularity meanwhile, or began near one, may have come to where joint limits bar every way that
-    lessens the error at once. It stays there until the target moves on, and `task_deficit` says what is lacking. Three
+    lessens the error at once. It stays there until the target moves on, and `task_deficit` is the part it lacks. Three
     or four of a hundred random runs in `benchmarks/limits.py` end so.
 
     Args:

@@ -36,9 +36,9 @@ class ControlLoop:
 
     What it does about trouble: a state of the wrong shape or not finite, a clock that runs backwards, and a jump of the
     joints raise a `StateError`, change nothing, and the next step may go on; after a jump the next state is believed
-    if it is near the one that was refused. Torques beyond the limits are cut, and `saturated` says so. At a target
-    that cannot be reached and at a singularity of the task the torque stays bounded, and `task_deficit` says what it
-    lacks.
+    if it is near the one that was refused. Torques beyond the limits are cut, and `saturated` is then True. At a target
+    that cannot be reached and at a singularity of the task the torque stays bounded, and `task_deficit` is the
+    missing part.
 
     Angles of continuous joints may come wrapped, such as to (−π, π], or not: the loop counts the turns.
 
@@ -59,7 +59,7 @@ class ControlLoop:
         centred: Whether torques are those for the middle of the period in which they are held, so that they do not lag
             by half of it; for controllers that are not made for a period themselves.
         first_torque: Torque at the start of a run where one of the last two is given, (n,) [N m or N], such as the
-            measured one; by default that which holds the robot against gravity, as the controller knows it.
+            measured one; by default that which holds the robot against gravity, by the controller's model.
 
     Attributes:
         memory: Memory of the controller: the chart it is on.
@@ -255,7 +255,7 @@ class ControlLoop:
             wrapped, q = q, self._robot._unwrap(q, ahead if np.isfinite(ahead).all() else q_last)
             behind = q - wrapped
             self._behind = behind if behind.any() else None
-        # If it is a jump, the next state is believed if it is near this one.
+        # If it is a jump, the next state is accepted if it is near this one.
         watch.last = t, q
         moved = q - q_last
         allowed = self._jump + 2.0 * np.abs(dq) * gap

@@ -72,7 +72,7 @@ class Objective(Checked, ABC):
     def held_law(self, r: int) -> tuple[SelfMotionVector, SelfMotionVector, SelfMotionVector] | None:
         """Gains kp and kd and constant v_d, (r,) each, where `acceleration` is kp (v_d − v) − kd dv; None elsewhere.
 
-        Compiled control is made of them. A law whose values may change must then tell its users, see `add_user`.
+        Compiled control is made of them. A law whose values may change must then notify its users, see `add_user`.
         """
         return None
 
@@ -316,8 +316,6 @@ class ReduceKineticEnergy(Objective):
 
     def __post_init__(self) -> None:
         self.robot.check_dynamics()
-        if self.gradient not in ("velocity", "configuration"):
-            raise InputError(f"gradient must be 'velocity' or 'configuration', got {self.gradient!r}")
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         return -self.gain * chart._along(self.energy_gradient(q, dq))

@@ -115,7 +115,7 @@ def check_applicable(settings: Settings, defaults: Settings) -> None:
         defaults: Their defaults.
 
     Raises:
-        InputError: An option does not apply; says why.
+        InputError: An option does not apply.
     """
     for rule in RULES:
         for name in rule.names:

@@ -55,7 +55,7 @@ def rest_posture(task: Task) -> JointVector:
     """A posture inside the limits in which the task is far from singular, with as many joints at zero as can be.
 
     From the zero posture, one joint after the other is turned in steps of 15° to where task and limits have most room,
-    until none wants to move. Where the joints could hardly hold the robot there, they are turned on to where they can,
+    until none moves. Where the joints could hardly hold the robot there, they are turned on to where they can,
     if there is such a posture.
 
     Args:

@@ -37,8 +37,8 @@ class SelfMotionEnv(gymnasium.Env[Vector, Vector]):
     """A robot whose joints are the exact function y(z, v) of the task and of the self-motion coordinates.
 
     An action has a number in [−1, 1] for each coordinate of the task and of v; with a `path` the task follows that by
-    itself, and the action is that of v alone. Whatever is done to v, the task is met to 1e-10, so that what is learned
-    is the use of the redundancy only. No dynamics are simulated.
+    itself, and the action is that of v alone. The task is met to 1e-10 with any v, so that the use of the
+    redundancy is all that is learned. No dynamics are simulated.
 
     An observation has, in [−1, 1], the place of each joint in its range (sine and cosine of a continuous one), the way
     to the goal as a part of the robot's reach or of half a turn, and with a path that repeats sine and cosine of its

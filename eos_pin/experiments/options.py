@@ -161,7 +161,7 @@ class ControlOptions:
         metric: Metric of the charts: that of the paper, or the mass matrix at their bases, which decouples task and
             self-motion inertially there.
         command: Command that the robot takes: torque, or joint position or velocity, for which it needs no inertia and
-            the task is tracked by a `KinematicLoop`, at 500 Hz unless said otherwise.
+            the task is tracked by a `KinematicLoop`, at 500 Hz by default.
         acceleration: Largest acceleration of every joint where positions or velocities are commanded [rad/s² or m/s²].
     """
 
@@ -260,20 +260,20 @@ class RunOptions:
 
     Attributes:
         plant: Simulator: our own equations of motion, or MuJoCo (pip install 'eos-pin[mujoco]'), which runs
-            sampled, at 1000 Hz unless said otherwise.
+            sampled, at 1000 Hz by default.
         control_rate: Run sampled at this many control periods per second, with held torques; continuous by default
         [Hz].
         substeps: Steps of the plant in each control period.
         noise: Standard deviation of measured joints [rad or m], and of measured velocities ten times that per second.
         delay: Age of the state the controller sees [s].
         dropout: Probability that the controller misses a period, and the torque of the last one stays.
-        friction: Viscous [N m s/rad or N s/m] and dry friction [N m or N] in every joint, which no controller knows.
-        push: Force on the frame that does the task [N], from 1 s to 1.2 s unless said otherwise.
+        friction: Viscous [N m s/rad or N s/m] and dry friction [N m or N] in every joint, which no controller models.
+        push: Force on the frame that does the task [N], from 1 s to 1.2 s by default.
         push_time: When the push begins and ends [s].
         torque_limits: Clip torques at the robot's limits.
         torque_rate: Most that a torque changes in a second [N m/s or N/s].
         soft_start: Time in which the torque goes over from that of gravity to the controller's [s].
-        model_error: Largest relative error of masses, centres of mass and inertias that the controller does not know.
+        model_error: Largest relative error of masses, centres of mass and inertias in the controller's model.
         method: Integrator of a continuous run; by default LSODA, and DOP853 for tolerances below 1e-10.
         rtol: Tolerance of a continuous run.
     """
@@ -387,7 +387,7 @@ def check_options(*groups: Any, seed: int = 0, plan: Path | None = None) -> None
     """Refuse options of a run, one group or more, that change nothing beside the others.
 
     Raises:
-        InputError: An option does not apply; says why.
+        InputError: An option does not apply.
     """
     given = {name: value for group in groups for name, value in vars(group).items()}
     check_applicable(given | {"seed": seed, "plan": plan}, _DEFAULTS)

@@ -63,7 +63,7 @@ class Search:
         ends: Joints at the start and at the end; None for any.
         reconfigurations: Whether the joints may jump.
         seed: Seed of everything random.
-        progress: Told what is done.
+        progress: Called with the work that is done.
         most: Most ways through the layers that are refined.
     """
 

@@ -177,7 +177,7 @@ def grid_of(
         rows = path if isinstance(path, np.ndarray) else listed(path, "a path of way points")
         path = waypoint_path(task, rows, times, closed=bool(closed))
     elif times is not None:
-        raise InputError("times are for way points; a trajectory has its own")
+        raise InputError("times are for way points, a trajectory has its own; leave them out")
     start, end = span(path)
     if closed is None:
         closed = math.isfinite(path.period)

@@ -99,7 +99,7 @@ def plan(
 
     Raises:
         InputError: The path, the limits or the scene cannot be used.
-        PlanError: No motion was found; says where it ended, what is in the way there, and what would help.
+        PlanError: No motion was found; the message has the place where it ended, the obstacle there, and a remedy.
     """
     began = time.perf_counter()
     progress = partial(called, "progress", progress)

@@ -264,7 +264,7 @@ class Plan:
         """Refuse another robot, tool or payload than those it was planned for.
 
         Raises:
-            PlanError: They differ; names what does.
+            PlanError: They differ.
         """
         mine, other = identity(self.robot), identity(robot)
         for what in mine:

@@ -27,7 +27,7 @@ def check_limits(plan: Plan, limits: MotionLimits) -> LimitUse:
     """Parts of the limits that a plan uses.
 
     Raises:
-        PlanError: A limit is exceeded; says which, by how much and where.
+        PlanError: A limit is exceeded; the message names it, the excess and the place.
     """
     use = limit_use(plan, limits)
     if not use.kept:

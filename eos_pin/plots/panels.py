@@ -162,7 +162,7 @@ def plot_self_motion(ax: Axes, result: Result, robot: Robot | None = None) -> No
 
 @checked
 def plot_charts(ax: Axes, result: Result) -> None:
-    """Charts on a time axis: a band and a number for each, a line where one is left for the next."""
+    """Charts on a time axis: a bar and a number for each, a line where one is left for the next."""
     if not len(result.switches):
         return
     edges = np.concatenate((result.t[:1], result.switches, result.t[-1:]))

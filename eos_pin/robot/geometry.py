@@ -1,7 +1,7 @@
 """The shapes of a robot: where its meshes are, and its geometry, read at the first use.
 
 Reading the meshes of an arm takes a hundred times longer than building its model, so it waits until a viewer or a
-distance needs them. Whether they exist is checked at once: what is missing is left out, and said.
+distance needs them. Whether they exist is checked at once: missing parts are left out, with a note.
 """
 
 from __future__ import annotations

@@ -141,7 +141,7 @@ def load_robot(
         gravity: Acceleration of gravity [m/s²]: a vector, or g for (0, 0, −g); by default 9.81 downwards.
 
     Raises:
-        RobotError: The file cannot be used, or its model cannot be controlled; says why.
+        RobotError: The file cannot be used, or its model cannot be controlled.
         UnknownNameError: No such robot, joint or frame; names what is near.
         InputError: An argument is no number, or out of its range.
     """

@@ -240,7 +240,7 @@ class Robot(Angles):
 
     @cached_property
     def lacks_dynamics(self) -> str:
-        """Why there are no dynamics, in a sentence; empty where M(q) can be inverted."""
+        """Reason why there are no dynamics; empty if M(q) can be inverted."""
         random = np.random.default_rng(0)
         lower, upper = np.maximum(self.lower, -np.pi), np.minimum(self.upper, np.pi)
         # Inertias that are not physical may show in some postures only; with hundreds of joints one takes long enough.
@@ -249,7 +249,7 @@ class Robot(Angles):
         return next((problem for q in postures if (problem := self._bad_inertia(q))), "")
 
     def _bad_inertia(self, q: JointVector) -> str:
-        """Why the mass matrix cannot be inverted at q, with the joints that move no mass; empty if it can."""
+        """Reason why the mass matrix cannot be inverted at q, with the joints that move no mass; empty if it can."""
         M = pin.crba(self.model, self._data, q, pin.Convention.WORLD)
         where = f"at q = {np.array2string(q, precision=3, threshold=20, max_line_width=1000)}"
         if not np.isfinite(M).all():

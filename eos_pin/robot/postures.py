@@ -49,6 +49,6 @@ def by_name(words: Sequence[str], name: str) -> dict[str, float | None]:
     for word in words:
         joint, equals, value = word.rpartition("=") if "=" in word else (word, "", "")
         if joint in found:
-            raise InputError(f"{name} has joint {joint!r} twice")
+            raise InputError(f"{name} has joint {joint!r} twice; give one value for it")
         found[joint] = number(value, f"{name} of joint {joint!r}") if equals else None  # type: ignore[arg-type]
     return found

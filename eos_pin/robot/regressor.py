@@ -10,9 +10,6 @@ from eos_pin._arrays import Array, JointVector, number
 from eos_pin.errors import RobotError
 from eos_pin.robot.model import Robot
 
-#: Numbers of a body: mass, mass times centre (3), second moments about the joint's origin Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
-PARAMETERS = 10
-
 
 def passive_regressor(
     robot: Robot, q: JointVector, dq: JointVector, dq_r: JointVector, ddq_r: JointVector
@@ -50,7 +47,8 @@ def parameter_bounds(robot: Robot, error: float) -> Float[Array, " p"]:
     """How far each inertial parameter may be off, where masses, centres and inertias are off by up to `error`.
 
     The errors are those of `Robot.perturbed`: of each link's mass, of each coordinate of its centre of mass and of each
-    second moment about its principal axes.
+    second moment about its principal axes. A body has ten parameters: its mass, mass times centre (3), and the second
+    moments about the joint's origin Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
 
     Args:
         robot: The robot.

@@ -354,7 +354,7 @@ def check_run(n: int, samples: int, duration: float, path: Trajectory | None) ->
         path: Path that is followed, if there is one.
 
     Raises:
-        InputError: It says what to do.
+        InputError: The message has a remedy.
     """
     if samples * n > MOST_JOINT_SAMPLES:
         raise InputError(

@@ -42,7 +42,7 @@ def simulate_kinematic(
 
     The run begins at rest; a loop that ran before is reset. Samples are multiples of the control period, besides the
     exact multiples of the path's period. Kinetic energy is that of the motion where the inertias are known; torques are
-    NaN, as nobody knows them.
+    NaN, as they are unknown.
 
     Args:
         loop: The loop.

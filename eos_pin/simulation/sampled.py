@@ -56,7 +56,7 @@ def simulate_sampled(
     """Run a controller as a computer would: sampled, its torque held over each period.
 
     Args:
-        plant: The robot that moves; it need not be the robot the controller knows. A `MujocoPlant` steps itself.
+        plant: The robot that moves; it need not be the robot of the controller's model. A `MujocoPlant` steps itself.
         controller: The controller, called once a period.
         q: Joints at the start, (n,), or some of them by name; others are as near 0 as their limits allow.
         dq: Joint velocities at the start, at rest by default.
@@ -66,7 +66,7 @@ def simulate_sampled(
         noise: Errors of the measured state.
         delay: Age of the state that the controller sees [s], rounded to whole periods.
         dropout: Probability that the controller misses a period, and the torque of the last one stays.
-        friction: Friction in the joints of the plant, which no controller knows.
+        friction: Friction in the joints of the plant, which no controller models.
         torque_limits: Cut the torque: True at the plant's own limits, as `ControlLoop` does at the robot's, False for
             none, or limits of your own, (n,) [N m or N].
         torque_rate: Most that a torque changes in a second, one number or (n,), see `ControlLoop` [N m/s or N/s].

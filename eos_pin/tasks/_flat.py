@@ -85,7 +85,10 @@ def _straight(flat: Vector, name: str) -> Vector:
     determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
     largest = max(map(abs, E.ravel().tolist()))
     if largest > 1e-6 or determinant < 0.0:
-        raise InputError(f"the rotation of {name} must be a 3 × 3 matrix with orthonormal columns and determinant 1")
+        raise InputError(
+            f"the rotation of {name} must be a 3 × 3 matrix with orthonormal columns and determinant 1, "
+            f"got {R.tolist()}"
+        )
     if largest > ORTHONORMAL:
         # R (RᵀR)^(−1/2), the nearest rotation, by its series to order E².
         R = R - R.dot(0.5 * E - 0.375 * E.dot(E))

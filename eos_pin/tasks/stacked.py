@@ -146,7 +146,7 @@ def task_from_description(robot: Robot, description: Mapping[str, Any]) -> Task:
     """Task that `Task.describe` described, on `robot`.
 
     Raises:
-        InputError: The description is not of a task this version knows.
+        InputError: The description is not of a task of this version.
         UnknownNameError: The robot has no such frame.
     """
     words = dict(description)

@@ -127,7 +127,7 @@ def read_bag(path: str | Path, *, topic: str = "", joints: Sequence[str] = ()) -
 
     q = column("position")
     if q is None:
-        raise InputError(f"{path} has joint states without positions")
+        raise InputError(f"{path} has joint states without positions, which are needed; record them, too")
     stamps = [message.header.stamp for message in messages]
     nanoseconds = np.array([stamp.sec * 10**9 + stamp.nanosec for stamp in stamps], dtype=np.int64)
     # In whole numbers, since an epoch leaves a float no digits below a microsecond.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -40,8 +40,6 @@ def check_corners(corners: str, blend: float | None, timed: bool) -> None:
     Raises:
         InputError: As said.
     """
-    if corners not in get_args(Corners):
-        raise InputError(f"corners are smooth, round or stop; got {corners!r}")
     if blend is not None and corners != "round":
         raise InputError(f"a blend of {blend:g} does not apply: corners are {corners}; choose round")
     if timed and corners == "round":

@@ -61,7 +61,7 @@ def path_from(task: Task, description: Mapping[str, Any]) -> Trajectory:
     """Path that `described` described.
 
     Raises:
-        ResultError: The description is not of a path this version knows.
+        ResultError: The description is not of a path of this version.
     """
     words = dict(description)
     kind = words.pop("kind", None)

@@ -309,7 +309,7 @@ def span(path: Trajectory) -> tuple[float, float]:
 
 
 def stretched(path: Trajectory, factor: float) -> Trajectory | None:
-    """The same path at a slower pace; None where it is a function that cannot be slowed down."""
+    """The same path at a slower pace; None for a function of the caller, which cannot be slowed down."""
     if isinstance(path, (WaypointPath, Geodesic)):
         start = path.times[0]
         return replace(path, times=start + factor * (path.times - start))

@@ -69,7 +69,7 @@ def write_html(
 class Viewer:
     """Live view of a robot, in any number of browsers on this machine.
 
-    The server is a thread of this process and listens on the loopback interface only: nobody else can connect, and
+    The server is a thread of this process and listens on the loopback interface only: no other machine can connect, and
     nothing stays behind, however the process ends. Browsers may come, go and reload at any time; each keeps what it
     has received, to be scrubbed back and forth, also when the run is over. For example:
 

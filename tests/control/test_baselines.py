@@ -5,7 +5,7 @@ from __future__ import annotations
 import checks
 import numpy as np
 import pytest
-from checks import exact, numbers, random_state, tip
+from checks import exact, numbers, random_state, task_and_eight, tip
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -33,13 +33,7 @@ FAITHFUL = ("task-space", "task-space-energy", "null-space-damping", "null-space
 
 def example(name, kind, q, variant):
     robot = checks.robot(name)
-    if kind == "pose":
-        task = PoseTask(robot, tip(robot))
-        z = task.value(q)
-        reference = PoseTrajectory(figure_eight(z[:3], 0.1, plane="yz"), pose=z)
-    else:
-        task = PositionTask(robot, tip(robot), kind)
-        reference = figure_eight(task.value(q), 0.1)
+    task, reference = task_and_eight(robot, kind, q)
     return BASELINES[variant](task, reference, q)
 
 

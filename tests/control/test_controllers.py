@@ -8,7 +8,7 @@ from functools import cache
 import checks
 import numpy as np
 import pytest
-from checks import EXACT, exact, integration_error, random_state, tip
+from checks import EXACT, exact, integration_error, random_state, task_and_eight, tip
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,7 +23,6 @@ from eos_pin import (
     InputError,
     OpenLoop,
     PoseTask,
-    PoseTrajectory,
     PositionTask,
     Posture,
     ReduceKineticEnergy,
@@ -42,13 +41,7 @@ def example(name):
     name, kind = name.split()
     robot = checks.robot(name)
     q, _ = random_state(robot, seed=7)
-    if kind == "pose":
-        task = PoseTask(robot, tip(robot))
-        z = task.value(q)
-        reference = PoseTrajectory(figure_eight(z[:3], 0.1, plane="yz"), pose=z)
-    else:
-        task = PositionTask(robot, tip(robot), kind)
-        reference = figure_eight(task.value(q), 0.1)
+    task, reference = task_and_eight(robot, kind, q)
     r = robot.n - task.m
     self_motion = Track(0.1 * np.ones(r), kp=50.0, kd=np.linspace(5.0, 10.0, r)) if r else None
     return EosController(task, reference, self_motion, kp=np.linspace(50.0, 100.0, task.m))

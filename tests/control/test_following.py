@@ -58,6 +58,7 @@ def elsewhere(panda):
     pose = panda.placement(start, "panda_hand_tcp")
     points = [pin.SE3(pose.rotation, pose.translation + np.array([0.0, y, 0.0])) for y in np.linspace(0.0, 0.1, 5)]
     made = plan(task, points, start=start)
+    assert np.abs(made.q[0] - start).max() < 1e-9
     Q, good = Manifold(task).search(
         np.random.default_rng(0).uniform(panda.lower, panda.upper, (300, 7)).T,
         np.repeat(task.value(start)[:, None], 300, axis=1),
@@ -189,7 +190,7 @@ def test_start_on_another_component_is_refused_and_a_run_from_there_reports(pand
     controller = EosController(made.task, made.path, FollowPlan(made))
     with pytest.raises(PlanError, match="Join them first"):
         simulate(panda, controller, away, duration=1.0)
-    with pytest.raises(PlanError, match="cannot join the plan"):
+    with pytest.raises(PlanError, match="cannot join the plan from where it stands"):
         journey(made, away)
     forced = EosController(made.task, made.path, FollowPlan(made, within=10.0))
     run = simulate(panda, forced, away, duration=4.0)

@@ -33,8 +33,8 @@ from eos_pin import (
 )
 from eos_pin.control.compliant.gains import damping_of
 from eos_pin.control.compliant.observer import MomentumObserver
-from eos_pin.control.compliant.projected import ProjectedImpedance
 from eos_pin.control.compliant.safety import yielded
+from eos_pin.control.rivals.projected import ProjectedImpedance
 from eos_pin.experiments.options import ControlOptions
 
 TIP = "panda_hand_tcp"
@@ -136,14 +136,14 @@ def test_push_at_tool_meets_stiffness_of_task(pose: PoseTask) -> None:
     np.testing.assert_allclose(state.chart.v(q), 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("consistency", ["kinematic", "dynamic", "stiffness"])
+@pytest.mark.parametrize("consistency", ["static", "dynamic", "stiffness"])
 def test_projectors_are_consistent_with_their_weighting(pose: PoseTask, consistency: str) -> None:
     K_q = np.array([30.0, 30.0, 30.0, 30.0, 10.0, 10.0, 10.0])
     law = ProjectedImpedance(
         pose, pose.hold(REST), REST + 0.1, consistency=consistency, stiffness={"m": 900.0, "rad": 40.0},
         joint_stiffness=K_q,
     )  # fmt: skip
-    weight = {"kinematic": np.eye(7), "dynamic": pose.robot.mass(REST), "stiffness": np.diag(K_q)}[consistency]
+    weight = {"static": np.eye(7), "dynamic": pose.robot.mass(REST), "stiffness": np.diag(K_q)}[consistency]
     tau = law.torque(0.0, REST, 0.0 * REST, None) - pose.robot.gravity(REST)
     J = pose.linearize(REST)[1]
     np.testing.assert_allclose(J @ np.linalg.solve(weight, tau), 0.0, atol=1e-10)

@@ -8,7 +8,7 @@ import pickle
 import daqp
 import numpy as np
 import pytest
-from checks import with_plain_limits
+from checks import compiled_only, with_plain_limits
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -27,7 +27,6 @@ from eos_pin import (
     figure_eight,
     simulate_sampled,
 )
-from eos_pin._kernels.dispatch import kernels
 from eos_pin.control._smallest_change import (
     LIMIT_PRICE,
     LIMIT_WEIGHT,
@@ -220,7 +219,7 @@ def test_change_is_the_smallest(seed, size):
         np.testing.assert_array_equal(use_compiled(J, M, lower, upper), change)
 
 
-@pytest.mark.skipif(kernels is None, reason="installed without a C compiler")
+@compiled_only
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 1e-2]), st.sampled_from([1.0, 30.0, 1000.0]))
 def test_compiled_limits_equal_the_plain_ones(panda, task, limits, seed, period, size):
     random = np.random.default_rng(seed)

@@ -114,23 +114,6 @@ def test_journey_joins_a_plan_from_another_posture(task, panda, round_trip):
         assert np.abs(task.value(way.joints(t).q) - way.path(t).z).max() < SOLVED
 
 
-def test_journey_from_another_component_is_refused_with_the_reason(panda):
-    task = PoseTask(panda, "panda_hand_tcp")
-    start = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
-    pose = panda.placement(start, "panda_hand_tcp")
-    points = [pin.SE3(pose.rotation, pose.translation + np.array([0.0, y, 0.0])) for y in np.linspace(0.0, 0.1, 5)]
-    found = plan(task, points, start=start)
-    assert np.abs(found.q[0] - start).max() < 1e-9
-    Q, good = Manifold(task).search(
-        np.random.default_rng(0).uniform(panda.lower, panda.upper, (300, 7)).T,
-        np.repeat(task.value(start)[:, None], 300, axis=1),
-        (panda.lower, panda.upper),
-    )
-    away = [q for q in Q[:, good].T if abs(q[0] - start[0]) > 1.5]
-    with pytest.raises(PlanError, match="cannot join the plan from where it stands"):
-        journey(found, away[0])
-
-
 def test_clock_pauses_and_resumes_smoothly():
     clock = Clock()
     clock.pause(1.0)

@@ -90,7 +90,7 @@ def _watched(
     """Rows of all runs, with a progress bar meanwhile.
 
     Raises:
-        KeyboardInterrupt: The bench was interrupted; its message tells what is done.
+        KeyboardInterrupt: The bench was interrupted; its message has the runs that are done.
     """
     from eos_pin.experiments.bench import harness
 

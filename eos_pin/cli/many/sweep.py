@@ -71,7 +71,7 @@ class SweepAxes:
         control_rate: Control periods per second; by default the run is continuous [Hz].
         noise: Standard deviation of measured joints [rad or m], and of measured velocities ten times that per second.
         delay: Age of the state the controller sees [s].
-        model_error: Largest relative error of masses, centres of mass and inertias that the controller does not know.
+        model_error: Largest relative error of masses, centres of mass and inertias in the controller's model.
     """
 
     task: Words = (TaskOptions.task,)
@@ -191,7 +191,7 @@ def _watched(planned: list[Trial], folder: Path, jobs: int) -> list[Row]:
     """Rows of all runs, with a progress bar meanwhile.
 
     Raises:
-        KeyboardInterrupt: The sweep was interrupted; its message tells how much is done.
+        KeyboardInterrupt: The sweep was interrupted; its message has the number of runs done.
     """
     from eos_pin.experiments import sweeps
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -96,7 +96,7 @@ class ImpedanceController(Controller):
         damping: GainLike | None = None,
         self_motion_damping: float | VectorLike | None = None,
         posture: PostureLike = None,
-        axes: str = "world",
+        axes: Literal["world", "tool"] = "world",
         feedforward: bool = True,
         largest_error: dict[str, float] | None = None,
         blend: float = 0.2,
@@ -125,8 +125,6 @@ class ImpedanceController(Controller):
             self.reference = reference
         self.posture = checked_posture(posture, task.robot.n)
         rotations = rotation_rows(task)
-        if axes not in ("world", "tool"):
-            raise InputError(f"axes must be 'world' or 'tool', got {axes!r}")
         if axes == "tool":
             check_tool_axes(task, rotations)
         if force is not None:

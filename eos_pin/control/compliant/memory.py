@@ -50,7 +50,7 @@ class ImpedanceState(NamedTuple):
         return min((t - self.since) / blend, 1.0)
 
     def left(self, t: float, blend: float) -> JointVector | None:
-        """Torque of the additions of the mode before that acts at time t; None where there is none."""
+        """Part of the torque by additions of the mode before that still acts at time t; None if there is none."""
         return None if self.carried is None else (1.0 - self.part(t, blend)) * self.carried
 
     def weights_at(self, t: float, blend: float) -> tuple[float, ...]:

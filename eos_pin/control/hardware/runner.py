@@ -109,7 +109,7 @@ class Runner:
         kinematic = isinstance(loop, KinematicLoop)
         if kinematic is (connection.command == "torque"):
             wanted = "ControlLoop" if kinematic else "KinematicLoop"
-            raise InputError(f"a robot that takes commands of {connection.command} is driven by a {wanted}")
+            raise InputError(f"this robot takes commands of {connection.command}: give it a {wanted}")
         if kinematic and clock is not None:
             raise InputError("a KinematicLoop has a pace of its own; leave out the clock")
         self.connection, self.loop, self.clock, self._log = connection, loop, clock, log

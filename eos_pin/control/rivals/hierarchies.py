@@ -16,14 +16,13 @@ from scipy.linalg import lapack
 
 from eos_pin._arrays import Array, Jacobian, JointVector, TaskVector, VectorLike, as_floats, checked, frozen_copy
 from eos_pin.charts._basis import solve_gram
-from eos_pin.control.rivals.parts import AccelerationController, right_inverse
+from eos_pin.control.rivals.parts import AccelerationController, Consistency, right_inverse
 from eos_pin.errors import InputError
 from eos_pin.tasks.base import Task, TaskPoint
 from eos_pin.tasks.joints import JointTask
 from eos_pin.trajectories.base import Trajectory
 
 Structure: TypeAlias = Literal["successive", "augmented"]
-Consistency: TypeAlias = Literal["static", "dynamic", "stiffness"]
 
 
 class HierarchyController(AccelerationController):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -21,6 +21,8 @@ from eos_pin.trajectories.base import Trajectory
 STEP = 6e-6
 #: Where a gain kp/kd makes a velocity of a position, kd counts as at least this [1/s].
 LEAST_DAMPING = 1e-9
+#: Weight of a generalised inverse: the identity, the mass matrix, or a stiffness of the joints.
+Consistency: TypeAlias = Literal["static", "dynamic", "stiffness"]
 
 
 def right_inverse(J: Jacobian, Y: Float[Array, "n m"]) -> Float[Array, "n m"]:

@@ -67,7 +67,7 @@ class SlidingModeController(EosController):
         atlas: Rule by which charts follow each other; by default that of `Atlas(task)`.
 
     Raises:
-        InputError: A number is out of its range, or the self-motion is not tracked but otherwise controlled.
+        InputError: A number is out of its range, or the self-motion has another law than a `Track`.
         RobotError: The robot lacks mass, or has joints that follow others.
     """
 
@@ -98,8 +98,6 @@ class SlidingModeController(EosController):
             gravity=gravity,
             atlas=atlas,
         )
-        if not isinstance(self.self_motion, Track):
-            raise InputError(f"sliding mode tracks v: give a Track, not a {type(self.self_motion).__name__}")
         #: Gains 0, 1 and λ of the task.
         self._no_task, self._one, self._slow = (np.full(task.m, gain) for gain in (0.0, 1.0, self.rate))
         self._bounds = frozen_copy(parameter_bounds(self._model, self.model_error))

@@ -17,9 +17,9 @@ from eos_pin.control.following import FollowPlan
 from eos_pin.control.limited import LimitedEosController
 from eos_pin.control.objectives import Track
 from eos_pin.control.operational import NullSpaceLaw, OperationalSpaceController, PostureNullSpace
-from eos_pin.control.rivals.hierarchies import Consistency, HierarchyController, Structure
+from eos_pin.control.rivals.hierarchies import HierarchyController, Structure
 from eos_pin.control.rivals.least_torque import LeastTorque
-from eos_pin.control.rivals.parts import PostureController, SpringNullSpace, free_inertia
+from eos_pin.control.rivals.parts import Consistency, PostureController, SpringNullSpace, free_inertia
 from eos_pin.control.rivals.resolved import (
     IntegratedVelocity,
     NullSpaceDynamics,

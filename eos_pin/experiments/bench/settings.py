@@ -23,7 +23,7 @@ class Setting:
             at 1 rad/s [1/s, 1].
         saturation: Torque limits as a part of the largest torque of the undisturbed path; None for none.
         push: Where it is pushed for 0.2 s: `"tool"` or `"elbow"`.
-        payload: Mass that the plant carries and no controller knows, as a part of the robot's own mass.
+        payload: Mass that the plant carries and no controller models, as a part of the robot's own mass.
         contact: Whether a part of the path leads into a surface; the plant is MuJoCo's.
     """
 

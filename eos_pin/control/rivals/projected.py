@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any
 
 import numpy as np
 
@@ -12,13 +12,10 @@ from eos_pin.control.base import Controller
 from eos_pin.control.compliant.gains import GainLike, damping_of, gain_matrix, plain, ratio
 from eos_pin.control.compliant.law import Gains
 from eos_pin.control.compliant.springs import rotation_rows
-from eos_pin.errors import InputError
+from eos_pin.control.rivals.parts import Consistency
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Trajectory, check_reference
-
-#: Weighting A of the projector N = 1 − G'ᵀ(G'A⁻¹G'ᵀ)⁻¹G'A⁻¹: the identity, the mass matrix, the posture's stiffness.
-Consistency: TypeAlias = Literal["kinematic", "dynamic", "stiffness"]
 
 
 class ProjectedImpedance(Controller):
@@ -31,7 +28,7 @@ class ProjectedImpedance(Controller):
         task: The task.
         reference: Trajectory of the task; its velocity is not used.
         posture: Joints q_d, (n,).
-        consistency: `"kinematic"`: A = 1; `"dynamic"`: A = M; `"stiffness"`: A = K_q.
+        consistency: `"static"`: A = 1; `"dynamic"`: A = M; `"stiffness"`: A = K_q.
         stiffness: K_z, as in `ImpedanceController`.
         joint_stiffness: K_q, one number, (n,) or (n, n) [N m/rad].
         damping_ratio: Damping ratio of both, each for itself.
@@ -47,15 +44,13 @@ class ProjectedImpedance(Controller):
         reference: Trajectory,
         posture: VectorLike,
         *,
-        consistency: str = "dynamic",
+        consistency: Consistency = "dynamic",
         stiffness: GainLike,
         joint_stiffness: float | VectorLike = 20.0,
         damping_ratio: float = 0.7,
     ) -> None:
         task.robot.check_dynamics()
         check_reference(task, reference)
-        if consistency not in get_args(Consistency):
-            raise InputError(f"consistency must be one of {', '.join(get_args(Consistency))}, got {consistency!r}")
         self.task: Task = task
         self.robot: Robot = task.robot
         self.reference: Trajectory = reference
@@ -79,7 +74,7 @@ class ProjectedImpedance(Controller):
         D_z = damping_of(0.5 * (Lambda + Lambda.T), gains.stiffness, gains.damping_ratio)
         K_q = gains.self_motion_stiffness
         own = K_q @ self.robot._way(q, self.posture) - damping_of(M, K_q, gains.damping_ratio) @ dq
-        A = {"kinematic": np.eye(q.size), "dynamic": M, "stiffness": K_q}[self.consistency]
+        A = {"static": np.eye(q.size), "dynamic": M, "stiffness": K_q}[self.consistency]
         X = np.linalg.solve(A, J.T)
         return self.robot._gravity(q) + J.T @ (F - D_z @ (J @ dq)) + own - J.T @ np.linalg.solve(J @ X, X.T @ own)
 
