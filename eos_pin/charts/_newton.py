@@ -63,8 +63,8 @@ def newton(
         U: Directions of u, (n, m).
         z: Task point to reach.
         start: Where to begin: its u and its B.
-        refresh: Compute B anew for each step but the first, and but the last where it can do without; or keep that of
-            `start`.
+        refresh: If True, B is computed anew in each step but the first, and but the last if convergence is certain;
+            if False, it is that of `start` throughout.
         tol: Largest task error that may be left [m, rad].
         max_iterations: Most steps.
     """

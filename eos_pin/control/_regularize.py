@@ -48,15 +48,14 @@ def speed_ratio_squared(dq: JointVector) -> float:
 def damped_system(
     J: Jacobian, b: TaskVector, dq: JointVector, lead: JointVector | None = None
 ) -> tuple[Jacobian, TaskVector]:
-    """Regularize J x = b near a rank-deficient J, for accelerations x of joints that move; returns (Y, c) with Y x = c.
+    """Regularize J x = b near a rank-deficient J, for joint accelerations x; returns (Y, c) with Y x = c.
 
-    The rows of Y are orthonormal, so that x = Yᵀ c is the solution where J is square. A singular value s of J below ε
-    counts as s/ε² instead of 1/s, so that its direction fades out, and braking −β dq takes its place by the part
-    1 − s²/ε²; above ε nothing is changed. So x is bounded and continuous where J loses rank. ε and β are
-    SINGULAR_VALUE_FLOOR and BRAKING, and grow in proportion to the speed of joints that are faster than FAST: Coriolis
-    terms grow with the square of the speed, and as ε² does so too, what remains of them is bounded while the braking
-    grows. Where joints are followed, their acceleration takes the place of braking: where they are met it is x itself,
-    so that nothing fades.
+    The rows of Y are orthonormal, and x = Yᵀ c is the solution where J is square. Singular values s ≥ ε of J are
+    inverted exactly. Below ε, 1/s is replaced by s/ε², so that the direction fades out, and the missing part 1 − s²/ε²
+    by braking −β dq. So x is bounded and continuous. ε is SINGULAR_VALUE_FLOOR, β is BRAKING_RATE;
+    above FAST_SPEED both grow in proportion to the speed. Coriolis terms grow with its square, as ε² does, so that
+    their effect stays bounded. Where joints are followed, their acceleration takes the place of braking; on the joints
+    to follow it is x itself, so that nothing fades.
 
     Args:
         J: Jacobian, its rows weighted so that singular values compare.

@@ -15,8 +15,8 @@ from eos_pin.errors import StateError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Point
 
-#: Rate at which the acceleration that is carried over to the next chart is forgotten [1/s], and that for every radian
-#: per second of joint speed: it has to be gone before a fast robot is through with the chart.
+#: Decay rate of the offset after a change of charts (`EosState.carried`) [1/s], and the same for every rad/s of joint
+#: speed, so that the offset vanishes before a fast robot leaves the chart.
 FORGETTING, PER_SPEED = 20.0, 10.0
 #: Time after which nothing is left of it to rounding [s].
 LONG_AGO = 40.0 / FORGETTING
@@ -31,7 +31,8 @@ class EosState:
         number: Number of charts before it.
         law: The law and `drive` in one, compiled, where there is that.
         since: Time from which the chart is used [s].
-        carried: Difference of the self-motion acceleration then from that on the chart before, (r,); None on the first.
+        carried: Offset of the self-motion acceleration that makes the torque continuous at `since`, (r,); it decays.
+            None on the first chart.
         made_of: Object that stands for the gains and targets of which `drive` and `law` were made.
     """
 
@@ -48,7 +49,7 @@ class EosState:
         return self.drive.chart
 
     def left(self, t: float, dq: JointVector) -> SelfMotionVector | None:
-        """Acceleration that is still carried at time t, with joints at these velocities, (r,); None if nothing is."""
+        """Offset `carried`, decayed until time t at these joint velocities, (r,); None if nothing is left."""
         if self.carried is None or t - self.since >= LONG_AGO:
             return None
         rate = max(FORGETTING, PER_SPEED * math.sqrt(dq.dot(dq)))
