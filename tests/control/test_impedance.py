@@ -169,7 +169,7 @@ def test_moving_targets_are_followed_without_error(pose: PoseTask) -> None:
     controller = ImpedanceController(
         pose, turning, posture=swing, damping_ratio=1.0, stiffness={"m": 2e3, "rad": 200.0}
     )
-    result = simulate(pose.robot, controller, REST, duration=4.0)
+    result = simulate(pose.robot, controller, REST, duration=3.0)
     assert result.ok
     assert np.abs(result.error[-20:]).max() < 1e-4
     chart, t = controller.start(0.0, REST, REST).chart, result.t[-1]
