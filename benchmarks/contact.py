@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+from marked import HOME, fill, table
 
 from eos_pin import ControlLoop, ForceGoal, ImpedanceController, PoseTask, PoseTrajectory, Robot, circle, load_robot
 from eos_pin.charts.chart import Chart
@@ -147,16 +148,22 @@ def press(duration: float, *, observer: float | None = None, gap: float = 0.0005
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--duration", type=float, default=8.0)
+    parser.add_argument("--write", action="store_true", help="write the figures into docs/impedance.md")
     arguments = parser.parse_args()
-    print(
+    scene = (
         f"{FORCE:g} N on a surface that moves by ±{1e3 * RISE:g} mm in {WAVE:g} s (up to "
         f"{1e3 * RISE * math.tau / WAVE:.0f} mm/s), {1e3 * PERIOD:g} ms, friction 0.2"
     )
-    for name, observer in (("measured force", None), ("momentum observer, 200 1/s", 200.0)):
+    rows = []
+    for name, observer in (("measured", None), ("momentum observer, 200 1/s", 200.0)):
         found = press(arguments.duration, observer=observer)
-        print(f"{name}: force after 0.5 s within {found.force_error:.3f} N, {found.bounces} bounces,", end=" ")
-        print(f"tangential error {1e3 * found.tangential:.2f} mm, elbow swings {found.swung:.2f} rad,", end=" ")
-        print(f"contact {found.stiffness:.0f} N/m")
+        figures = f"{found.force_error:.3f}", str(found.bounces), f"{1e3 * found.tangential:.2f}", f"{found.swung:.2f}"
+        rows.append([name, *figures, f"{1e-3 * found.stiffness:.0f}"])
+    columns = ("force", "off after 0.5 s [N]", "bounces", "tangential error [mm]", "elbow swings [rad]")
+    text = f"\n\n{scene}:\n{table((*columns, 'contact [kN/m]'), rows)}"
+    print(text)
+    if arguments.write:
+        fill(HOME / "docs" / "impedance.md", "contact", text)
 
 
 if __name__ == "__main__":
