@@ -204,6 +204,10 @@ class _Border:
         if len(args) > len(self.checks):
             # Python refuses them in its own words.
             return args, kwargs
+        # Parts of larger arrays, such as a column of a pose, cost one copy, not a closer look.
+        whole = tuple([_contiguous(value) for value in args])
+        if not all(map(operator.is_, whole, args)) and self.accepted(whole, kwargs):
+            return whole, kwargs
         known, marks = (*args, *kwargs.values()), {}
         given = [*zip(self.checks, args), *kwargs.items()]  # noqa: B905
         taken = []
@@ -215,6 +219,10 @@ class _Border:
             with contextlib.suppress(TypeError):  # not every object can be referred to weakly
                 self.accepted.remember(weakref.ref(args[0]), marks)
         return tuple(taken[: len(args)]), dict(zip(kwargs, taken[len(args) :]))  # noqa: B905
+
+
+def _contiguous(value: Any) -> Any:
+    return value.copy() if type(value) is np.ndarray and not value.flags.forc else value
 
 
 def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:

@@ -61,7 +61,7 @@ cdef inline double entry(cnp.ndarray x, Py_ssize_t i, Py_ssize_t j) noexcept:
     return (<double*>(cnp.PyArray_BYTES(x) + i * cnp.PyArray_STRIDE(x, 0) + j * cnp.PyArray_STRIDE(x, 1)))[0]
 
 
-cdef inline double dot(double* x, double* y, Py_ssize_t size) noexcept:
+cdef inline double dot(double* x, double* y, Py_ssize_t size) noexcept nogil:
     cdef double total = 0.0
     cdef Py_ssize_t i
     for i in range(size):

@@ -3,7 +3,6 @@
 
 cimport numpy as cnp
 from libc.math cimport INFINITY, fabs, isfinite, sqrt
-from scipy.linalg.cython_lapack cimport dposv
 
 from eos_pin._kernels._common cimport as_plain, as_table, data, dot, empty, entry
 
@@ -14,6 +13,16 @@ from eos_pin._kernels import dispatch
 cnp.import_array()
 
 cdef int DONE = dispatch.DONE, UNDECIDED = dispatch.UNDECIDED, NO_ANSWER = dispatch.NO_ANSWER
+#: Rounds in which the active bounds of a program are looked for; their most rows and unknowns; the part of its square
+#: that a row must have beyond the rows before it; and the rounding that is allowed in a bound, as a part of it.
+cdef enum:
+    ROUNDS = 6
+    MOST_ROWS = 96
+    MOST_UNKNOWNS = 32
+    # Sides of a row beside inactive, 0, and at a bound, ±1: beyond it at a price, ±2, and exactly zero.
+    PAYING = 2
+    WHOLE = 3
+cdef double APART = 1e-9, ROUNDING = 1e-11
 
 
 cdef class Limits:
@@ -89,12 +98,16 @@ cdef class Limits:
             data(shift)[i] = self.kept_to(i, data(ddq)[i])
         at, speed = self.halfway(q, dq, shift, None)
         M = self.model._mass(at)
-        mean = self.accelerations(M, self.model._bias(at, speed), tau)
+        for i in range(n):
+            for j in range(n):
+                self.factor[i * n + j] = entry(M, i, j)
+        factorize(self.factor, n, 0.0)
+        mean = self.accelerations(self.model._bias(at, speed), tau)
         # Once more, from where the torque leads to.
         for i in range(n):
             data(shift)[i] = self.kept_to(i, data(mean)[i])
         at, speed = self.halfway(q, dq, shift, None)
-        more, asked = self.accelerations(M, self.model._inverse_dynamics(at, speed, mean), tau), empty(n)
+        more, asked = self.accelerations(self.model._inverse_dynamics(at, speed, mean), tau), empty(n)
         for i in range(n):
             data(mean)[i] += data(more)[i]
             data(asked)[i] = self.kept_to(i, data(mean)[i])
@@ -156,16 +169,13 @@ cdef class Limits:
                 data(found)[i] += part * (data(whole)[i] - data(found)[i])
         return found
 
-    cdef cnp.ndarray accelerations(self, cnp.ndarray M, cnp.ndarray bias, cnp.ndarray tau):
+    cdef cnp.ndarray accelerations(self, cnp.ndarray bias, cnp.ndarray tau):
         """M⁻¹ (tau − bias)."""
-        cdef int n = self.n, one = 1, info = 0
-        cdef cnp.ndarray ddq = empty(n)
-        cdef Py_ssize_t i, j
-        for i in range(n):
+        cdef cnp.ndarray ddq = empty(self.n)
+        cdef Py_ssize_t i
+        for i in range(self.n):
             data(ddq)[i] = data(tau)[i] - data(bias)[i]
-            for j in range(n):
-                self.factor[i * n + j] = entry(M, i, j)
-        dposv("U", &n, &one, self.factor, &n, data(ddq), &n, &info)
+        substitute(self.factor, self.n, data(ddq))
         return ddq
 
     cdef cnp.ndarray held(self, cnp.ndarray q, cnp.ndarray dq, cnp.ndarray tau):
@@ -195,23 +205,65 @@ cdef class Limits:
         return inside
 
 
+cdef bint factorize(double* A, Py_ssize_t n, double apart) noexcept nogil:
+    """Cholesky's factor in the lower triangle; False where a row has not more than a part of its square of its own."""
+    cdef Py_ssize_t i, j
+    cdef double square
+    for i in range(n):
+        square = A[i * n + i]
+        for j in range(i):
+            A[i * n + j] = (A[i * n + j] - dot(A + i * n, A + j * n, j)) / A[j * n + j]
+        A[i * n + i] = square - dot(A + i * n, A + i * n, i)
+        if not A[i * n + i] > apart * square:
+            return False
+        A[i * n + i] = sqrt(A[i * n + i])
+    return True
+
+
+cdef void substitute(double* L, Py_ssize_t n, double* x) noexcept nogil:
+    """x becomes (L Lᵀ)⁻¹ x."""
+    cdef Py_ssize_t i, j
+    for i in range(n):
+        x[i] = (x[i] - dot(L + i * n, x, i)) / L[i * n + i]
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            x[i] -= L[j * n + i] * x[j]
+        x[i] /= L[i * n + i]
+
+
+cdef inline double rounding(double bound) noexcept nogil:
+    return ROUNDING * (fabs(bound) + 0.1)
+
+
 cdef class ChangeProgram:
-    """`plain_parts.ChangeProgram`, with the same arguments."""
+    """`plain_parts.ChangeProgram`, with the same arguments.
+
+    The solution is looked for where it mostly is, by the primal–dual active set method (Hintermüller, Ito, Kunisch,
+    SIAM J. Optim. 2002): bounds that are passed become active, those that pull the wrong way do not stay so. What
+    comes to rest fulfils all conditions of the minimum, which is unique. daqp has the rest.
+    """
 
     cdef object update, solve
     cdef tuple made_from, arguments
     cdef double *rows
     cdef double *upper
     cdef double *lower
-    cdef double full_price
+    cdef double full_price, price, per_weight
     cdef Py_ssize_t m, n
+    cdef int side[MOST_ROWS]
+    cdef double pull[MOST_ROWS]
+    cdef bint small
 
-    def __init__(self, model, cnp.ndarray rows, cnp.ndarray upper, cnp.ndarray lower, cnp.ndarray kinds, full_price):
-        self.made_from = model, rows, upper, lower, kinds, full_price
+    def __init__(
+        self, model, cnp.ndarray rows, cnp.ndarray upper, cnp.ndarray lower, cnp.ndarray kinds, full_price, price, weight
+    ):
+        self.made_from = model, rows, upper, lower, kinds, full_price, price, weight
         # Neither H nor f changes.
         self.update, self.solve, self.arguments = model.update, model.solve, (None, None, rows, upper, lower, kinds)
         self.rows, self.upper, self.lower, self.full_price = data(rows), data(upper), data(lower), full_price
+        self.price, self.per_weight = price, 1.0 / weight
         self.n, self.m = rows.shape[1], rows.shape[0] - rows.shape[1]
+        self.small = self.n <= MOST_UNKNOWNS and 2 * self.n + self.m <= MOST_ROWS
 
     def __reduce__(self):
         return type(self), self.made_from
@@ -219,7 +271,7 @@ cdef class ChangeProgram:
     def __call__(self, jacobian, mass, least, most):
         cdef Py_ssize_t n = self.n, m = self.m, i, j
         cdef cnp.ndarray J = as_table(jacobian, m, n), M = as_table(mass, n, n)
-        cdef cnp.ndarray lower = as_plain(least, 2 * n), upper = as_plain(most, 2 * n), change, paid
+        cdef cnp.ndarray lower = as_plain(least, 2 * n), upper = as_plain(most, 2 * n), change = empty(n), paid
         cdef double size
         for i in range(n):
             for j in range(n):
@@ -229,6 +281,8 @@ cdef class ChangeProgram:
                 self.rows[(n + i) * n + j] = entry(J, i, j)
         for i in range(2 * n):
             self.lower[i], self.upper[i] = data(lower)[i], data(upper)[i]
+        if self.small and self.at_rest(data(change)):
+            return DONE, change
         self.update(*self.arguments)
         change, _, flag, info = self.solve()
         if not (flag > 0 and isfinite(dot(data(change), data(change), n))):
@@ -236,3 +290,90 @@ cdef class ChangeProgram:
         paid = info["lam"]
         size = dot(data(paid), data(paid), n)
         return DONE if size < self.full_price * self.full_price else UNDECIDED, change
+
+    cdef bint at_rest(self, double* x) noexcept nogil:
+        """Whether the active set method comes to rest, where the smallest change x is then."""
+        cdef Py_ssize_t n = self.n, m = self.m, k
+        cdef int attempt
+        # The task as it is, to begin with, and bounds that zero passes.
+        for k in range(2 * n):
+            self.side[k] = 1 if self.upper[k] < 0.0 else -1 if self.lower[k] > 0.0 else 0
+        for k in range(2 * n, 2 * n + m):
+            self.side[k] = WHOLE
+        for attempt in range(ROUNDS):
+            if not self.on_sides(x):
+                return False
+            if self.settled(x):
+                # Nobody pays the full price of a limit.
+                return dot(self.pull, self.pull, 2 * n + m) < self.full_price * self.full_price
+        return False
+
+    cdef bint on_sides(self, double* x) noexcept nogil:
+        """Smallest change with the active rows on their bounds; their multipliers into `pull`."""
+        cdef Py_ssize_t n = self.n, count = 0, i, j, k
+        cdef Py_ssize_t active[MOST_UNKNOWNS]
+        cdef double gram[MOST_UNKNOWNS * MOST_UNKNOWNS]
+        cdef double pull[MOST_UNKNOWNS]
+        for k in range(2 * n + self.m):
+            self.pull[k] = 0.0
+            if self.side[k] != 0:
+                if count == n:
+                    return False
+                active[count] = k
+                count += 1
+        for i in range(count):
+            k = active[i]
+            for j in range(i + 1):
+                gram[i * count + j] = self.product(k, active[j])
+            pull[i] = 0.0 if self.side[k] == WHOLE else self.upper[k] if self.side[k] > 0 else self.lower[k]
+            if self.side[k] == PAYING or self.side[k] == -PAYING:
+                gram[i * count + i] += self.per_weight
+                pull[i] -= self.price * self.per_weight * (1.0 if self.side[k] > 0 else -1.0)
+        if not factorize(gram, count, APART):
+            return False
+        substitute(gram, count, pull)
+        for j in range(n):
+            x[j] = 0.0
+        for i in range(count):
+            k = active[i]
+            self.pull[k] = pull[i]
+            if k < n:
+                x[k] += pull[i]
+            else:
+                for j in range(n):
+                    x[j] += pull[i] * self.rows[(k - n) * n + j]
+        return True
+
+    cdef double product(self, Py_ssize_t k, Py_ssize_t l) noexcept nogil:
+        """Inner product of two rows; the first n are those of the unit matrix."""
+        cdef Py_ssize_t n = self.n
+        if l < n:
+            return <double>(k == l) if k < n else self.rows[(k - n) * n + l]
+        return self.rows[(l - n) * n + k] if k < n else dot(self.rows + (k - n) * n, self.rows + (l - n) * n, n)
+
+    cdef bint settled(self, double* x) noexcept nogil:
+        """Whether each row is where it should be; one that is not changes its side."""
+        cdef Py_ssize_t n = self.n, k
+        cdef int side, way, then
+        cdef double value, room, against
+        cdef bint settled = True
+        for k in range(2 * n + self.m):
+            side = then = self.side[k]
+            if side == 0:
+                value = x[k] if k < n else dot(self.rows + (k - n) * n, x, n)
+                if value > self.upper[k] + rounding(self.upper[k]):
+                    then = 1
+                elif value < self.lower[k] - rounding(self.lower[k]):
+                    then = -1
+            else:
+                way = (-1 if self.pull[k] > 0.0 else 1) if side == WHOLE else 1 if side > 0 else -1
+                against = -way * self.pull[k]
+                if against < 0.0:
+                    then = 0
+                elif k >= 2 * n and against >= self.price:
+                    then = way * PAYING
+                else:
+                    then = way
+            settled &= then == side
+            self.side[k] = then
+        return settled

@@ -214,12 +214,22 @@ class ChangeProgram:
         lower: Their lower bounds.
         kinds: Their kinds.
         full_price: Size of the prices of the variables' own bounds from which one of these bounds is passed.
+        price: Price of passing a bound of the rows J, for its size; the model knows it, the compiled form must.
+        weight: The same for its square.
     """
 
     def __init__(
-        self, model: Any, rows: Float[Array, "n+m n"], upper: Vector, lower: Vector, kinds: Array, full_price: float
+        self,
+        model: Any,
+        rows: Float[Array, "n+m n"],
+        upper: Vector,
+        lower: Vector,
+        kinds: Array,
+        full_price: float,
+        price: float,
+        weight: float,
     ) -> None:
-        self._made_from = model, rows, upper, lower, kinds, full_price
+        self._made_from = model, rows, upper, lower, kinds, full_price, price, weight
         self._model, self._rows, self._upper, self._lower = model, rows, upper, lower
         self._kinds, self._full_price = kinds, full_price
 

@@ -85,7 +85,9 @@ class SmallestChange:
         self._per_weight = np.repeat((1.0 / LIMIT_WEIGHT, 0.0, 1.0 / TASK_WEIGHT), sizes)
         model, self._last = (self._made(2 * n + m, self._prices, self._per_weight) for _ in range(2))
         # Nobody pays the full price of a limit unless it is passed.
-        self.program = ChangeProgram(model, self._rows, self._upper, self._lower, self._kinds, LIMIT_PRICE)
+        self.program = ChangeProgram(
+            model, self._rows, self._upper, self._lower, self._kinds, LIMIT_PRICE, TASK_PRICE, TASK_WEIGHT
+        )
         self._stage = self._made(2 * n, np.full(2 * n, ASKING_PRICE), np.full(2 * n, 1.0 / LIMIT_WEIGHT))
         for model in (self._last, self._stage):
             model.settings = model.settings | {"primal_tol": EXACT}

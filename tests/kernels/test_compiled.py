@@ -37,6 +37,7 @@ from eos_pin._kernels.dispatch import COMPILED, DONE, REFERENCES, UNDECIDED, WIT
 from eos_pin._kernels.kinematics import MOST_NODES, SHORTEST
 from eos_pin.control import loop
 from eos_pin.control._regularize import AccelerationMap
+from eos_pin.control._smallest_change import SmallestChange
 from eos_pin.planning.obstacles.bodies import Bodies, Clearances
 from eos_pin.planning.obstacles.scene import Box, Capsule, Scene
 from eos_pin.simulation import _systems
@@ -420,6 +421,35 @@ def test_limits_agree(panda, period):
         for x, y in zip(one, other, strict=True):
             np.testing.assert_allclose(x, y, rtol=1e-6, atol=1e-6 * size)
     assert STATES // 10 < active < STATES
+
+
+@pytest.mark.parametrize("size", [(3, 7), (6, 7), (2, 4)], ids=str)
+def test_programs_of_the_smallest_change_agree(size):
+    """Of the compiled form and of daqp, which the compiled one asks where it does not find the solution itself."""
+    (m, n), random, asked = size, np.random.default_rng(14), 0
+    program = SmallestChange(m, n).program
+    model, *rest = program.__reduce__()[1]
+
+    def solve():
+        nonlocal asked
+        asked += 1
+        return model.solve()
+
+    counted = kernels.ChangeProgram(types.SimpleNamespace(update=model.update, solve=solve), *rest)
+    plain = plain_form(program)
+    for _ in range(STATES):
+        J, root = random.normal(size=(m, n)), random.normal(size=(n, n))
+        # From one bound that demands a change to many.
+        lower = random.uniform(-10.0, random.choice([0.2, 0.5, 5.0]), 2 * n)
+        upper = lower + random.exponential(50.0, 2 * n)
+        # Torques for it, mostly.
+        lower[n:], upper[n:] = np.minimum(20.0 * lower[n:], -1.0), np.maximum(20.0 * upper[n:], 1.0)
+        given = J, root @ root.T + 0.1 * np.eye(n), lower, upper
+        (status, change), (expected_status, expected) = counted(*given), plain(*given)
+        assert status == expected_status
+        if status == DONE:
+            np.testing.assert_allclose(change, expected, atol=2e-6 * (1.0 + np.abs(expected).max()))
+    assert STATES // 20 < asked < 4 * STATES // 5
 
 
 def test_limits_far_from_all_of_them_change_nothing(panda):
