@@ -123,5 +123,6 @@ from .trajectories import spline_from_csv as spline_from_csv
 from .viewer import Scene as Scene
 from .viewer import Viewer as Viewer
 from .viewer import write_html as write_html
+from .viewer import write_replay as write_replay
 
 __version__: str

@@ -11,7 +11,7 @@ from claim_tables import PLAN, claims_table, study_table, update_block
 
 from eos_pin._files import write_atomically
 from eos_pin.cli.main import run
-from eos_pin.cli.output import console, scene_of, stderr, write_json
+from eos_pin.cli.output import console, stderr, write_json
 from eos_pin.paper.claims import APPLICATIONS, measure, obstacles_cleared
 from eos_pin.paper.run_example import claim_rows, figures
 from eos_pin.simulation.result import Result
@@ -100,7 +100,7 @@ def avoid(name: str, out: Path | None) -> dict[str, Any]:
     """Run a cited application with and without making way, and draw it into a folder; its figures."""
     from eos_pin.paper.run_obstacle_example import draw
     from eos_pin.plots import pages as plots
-    from eos_pin.viewer.viewer import write_html
+    from eos_pin.viewer.replay import write_replay
 
     application = APPLICATIONS[name]()
     result = application.run()
@@ -109,8 +109,8 @@ def avoid(name: str, out: Path | None) -> dict[str, Any]:
         page = draw(application, {"v constant": application.run(avoiding=False), "v makes way": result})
         for suffix in (".png", ".pdf"):
             plots.save(page, file.with_name(file.name + suffix))
-        scene = scene_of(result, application.task.robot, application.clearance.obstacles, title=name)
-        write_html(file.with_name(file.name + ".html"), scene, result.t, result.q)
+        solids = application.clearance.obstacles
+        write_replay(file.with_name(file.name + ".html"), result, application.task.robot, obstacles=solids, title=name)
     return application.figures(result)
 
 
@@ -120,7 +120,7 @@ def draw(kind: str, path: Path, label: str, data: Any) -> None:
     from eos_pin.paper.animation import write_gif
     from eos_pin.paper.figures import paper_figures
     from eos_pin.plots import pages as plots
-    from eos_pin.viewer.viewer import write_html
+    from eos_pin.viewer.replay import write_replay
 
     path.parent.mkdir(parents=True, exist_ok=True)
     if kind == "figures":
@@ -131,7 +131,7 @@ def draw(kind: str, path: Path, label: str, data: Any) -> None:
         return
     robot = PLAN[label]().robot
     if kind == "html":
-        write_html(path, scene_of(data, robot, title=f"Sec. {label}"), data.t, data.q)
+        write_replay(path, data, robot, title=f"Sec. {label}")
     else:
         write_gif(path, data, robot, trace=["tip", "rail_tip"] if label == "5.4" else ["tip"], end=2.0 * data.period)
 

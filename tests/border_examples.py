@@ -249,6 +249,7 @@ def special(label):
         "ImpedanceController.led": {"part": "elbow"},
         "JointMap": {"names": [joint.name for joint in made["robot"].joints]},
         "write_html": {"path": "motion.html", "scene": eos_pin.Scene(made["robot"]), "t": [0.0, 1.0], "q": rows},
+        "viewer.write_replay": {"path": "run.html", "runs": made["result"]},
         "viewer.Scene.pack": {"t": np.array([0.0, 1.0]), "q": rows},
         "Viewer": {"scene": eos_pin.Scene(made["robot"]), "port": 0},
         "Viewer.play": {"t": [0.0, 1.0], "q": rows},

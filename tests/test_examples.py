@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from eos_pin import Result
-from eos_pin.cli.output import run_table, scene_of
+from eos_pin.cli.output import run_table
 from eos_pin.plots.pages import overview, save
-from eos_pin.viewer.viewer import write_html
+from eos_pin.viewer.replay import scene_of, write_replay
 
 EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.py"))
 #: Lines on a screen.
@@ -63,7 +63,7 @@ def check_run(result, robot, expected, folder):
     assert "rad" not in cell
     scene = scene_of(run, robot)
     assert dict(scene.traces) == {"actual": "panda_hand_tcp"}
-    assert write_html(folder / "run.html", scene, run.t, run.q).stat().st_size > 10_000
+    assert write_replay(folder / "run.html", run, robot).stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

@@ -17,7 +17,6 @@ from eos_pin.cli.output import (
     grid,
     print_files,
     say_notes,
-    scene_of,
     show,
     stderr,
     write_outputs,
@@ -129,6 +128,6 @@ def ik(
         result = joint_run(goal, times, joints, np.array([goal.value(row) for row in joints]), message=message)
     written += write_outputs(replace(output, csv=None), result, machine, figures=figures)
     if output.view:
-        show(scene_of(result, machine), result)
+        show({"": result}, {"": machine})
     print_files(written)
     return 1 if message else 0

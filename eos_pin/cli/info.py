@@ -16,7 +16,6 @@ from eos_pin.cli.output import (
     format_number,
     grid,
     print_files,
-    scene_of,
     show,
     write_outputs,
 )
@@ -176,5 +175,5 @@ def _still(output: Output, robot: Robot, task: Task | None, q: JointVector, figu
     result = joint_run(shown, np.zeros(1), q[None], shown.value(q)[None])
     written = write_outputs(replace(files, out=None), result, robot, figures=figures)
     if output.view:
-        show(scene_of(result, robot), result)
+        show({"": result}, {"": robot})
     return written

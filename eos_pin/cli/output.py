@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from eos_pin.simulation.result import Result
     from eos_pin.tasks.base import Task
     from eos_pin.trajectories.base import Trajectory
-    from eos_pin.viewer.scene import Scene
 
 
 class Terminal(Console):
@@ -104,7 +103,12 @@ class Output:
 
 @contextmanager
 def progress(
-    output: Output, robot: Robot, q: JointVector, duration: float, title: str, scene: Scene | None = None
+    output: Output,
+    robot: Robot,
+    q: JointVector,
+    duration: float,
+    title: str,
+    follows: tuple[Task, Trajectory] | None = None,
 ) -> Iterator[Observer]:
     """Progress bar on the terminal and, if asked for, a live view in the browser.
 
@@ -114,7 +118,7 @@ def progress(
         q: Joints at the start.
         duration: Length of the run [s].
         title: Name of the run.
-        scene: Scene to show; just the robot by default.
+        follows: Task and path, of which the live view has line, trace and errors.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:g} s"))
     with Progress(*columns, TimeElapsedColumn(), console=stderr, transient=True) as progress:
@@ -122,10 +126,12 @@ def progress(
         if not output.view:
             yield lambda t, q: progress.update(bar, completed=t)
             return
-        from eos_pin.viewer.scene import Scene
+        from eos_pin.viewer.curves import live_curves
+        from eos_pin.viewer.replay import live_scene
         from eos_pin.viewer.viewer import Viewer
 
-        with Viewer(scene or Scene(robot, title=title), q) as viewer:
+        scene = live_scene(robot, q, duration, follows, title=title)
+        with Viewer(scene, q, curves=live_curves(robot, q, follows)) as viewer:
             stderr.print(f"Live view: {viewer.url}")
             if not viewer.open():
                 stderr.print("No browser opened; open the address above by hand.")
@@ -137,29 +143,6 @@ def progress(
             yield show
 
 
-def scene_of(result: Result, robot: Robot, obstacles: Sequence[Obstacle] = (), *, title: str = "") -> Scene:
-    """Scene of a run: the robot, its reference path, and the trace of the frame that follows it."""
-    from eos_pin.viewer.scene import Scene
-
-    frame, axes, kind = result.frame, result.axes, (result.info.get("task") or {}).get("kind", "motion")
-    paths = {}
-    if frame and axes and not result.seen_from and len(result.t) and np.isfinite(result.z_ref).all():
-        # Axes that do not count lie where the frame is.
-        tip = np.array([robot.placement(q, frame).translation for q in result.q])
-        tip[:, ["xyz".index(axis) for axis in axes]] = result.z_ref[:, : len(axes)]
-        paths["reference"] = tip
-    summary = result.summary()
-    caption = (
-        f"{result.info.get('controller', {}).get('kind', '')}: task error {format_number(summary['task_error_max'])}"
-    )
-    drift = summary["joint_drift_per_cycle"]
-    caption += f", joint drift per cycle {format_number(drift[-1])}" if drift else ""
-    used = summary["limits"]
-    caption += f"; limits {used['told']}" if math.isfinite(used["worst"]) else ""
-    traces = {"actual": frame} if frame else {}
-    return Scene(robot, paths, traces, tuple(obstacles), title or f"{robot.name}: {kind}", caption)
-
-
 def write_outputs(
     output: Output,
     result: Result,
@@ -169,6 +152,7 @@ def write_outputs(
     obstacles: Sequence[Obstacle] = (),
     plot: Figure | None = None,
     title: str = "",
+    runs: Mapping[str, Result] | None = None,
 ) -> list[Path]:
     """Write every file that is asked for.
 
@@ -180,6 +164,7 @@ def write_outputs(
         obstacles: Solids in the replay.
         plot: Figure to save; by default the overview of the run.
         title: Heading of the replay; by default robot and task.
+        runs: Runs by name that the replay shows together, instead of this one.
 
     Returns:
         The files that were written.
@@ -198,14 +183,15 @@ def write_outputs(
     if output.bag is not None:
         written.append(result.to_bag(output.bag))
     if output.rerun is not None and robot is not None:
+        from eos_pin.viewer.replay import scene_of
         from eos_pin.viewer.rerun_file import write_rerun
 
         scene = scene_of(result, robot, obstacles, title=title)
         written.append(write_rerun(output.rerun, scene, result.t, result.q, curves_of(result, robot)))
     if output.html is not None and robot is not None:
-        from eos_pin.viewer.viewer import write_html
+        from eos_pin.viewer.replay import write_replay
 
-        written.append(write_html(output.html, scene_of(result, robot, obstacles, title=title), result.t, result.q))
+        written.append(write_replay(output.html, runs or result, robot, obstacles=obstacles, title=title))
     return written
 
 
@@ -229,16 +215,19 @@ def curves_of(result: Result, robot: Robot) -> dict[str, Array]:
     return curves
 
 
-def show(scene: Scene, result: Result) -> None:
-    """Hand a motion to the browser, which keeps it."""
-    from eos_pin.viewer.viewer import Viewer
+def show(
+    runs: Mapping[str, Result], robots: Mapping[str, Robot], obstacles: Sequence[Obstacle] = (), *, title: str = ""
+) -> None:
+    """Hand the replay of runs by name to the browser, which keeps it."""
+    from eos_pin.viewer.replay import replay_page, scene_of
+    from eos_pin.viewer.viewer import Served
 
-    with Viewer(scene, result.q[0]) as viewer:
+    scenes = {name: scene_of(run, robots[name], obstacles, title=title) for name, run in runs.items()}
+    with Served(lambda connect: replay_page(runs, scenes, connect=connect)) as viewer:
         console.print(f"Replay: {viewer.url}")
         if not viewer.open():
             stderr.print("No browser opened; open the address above by hand within a minute.")
             viewer.open(wait=60.0)
-        viewer.play(result.t, result.q)
 
 
 def write_json(path: Path, figures: Mapping[str, Any]) -> Path:
@@ -325,6 +314,29 @@ def run_table(summary: Mapping[str, Any]) -> Table:
         told = escape(summary["limits"]["told"])
         table.add_row("limits", f"[bold red]{told}[/]" if summary["limits"]["passed"] else told)
     return table
+
+
+def print_runs(title: str, what: str, summaries: Mapping[str, Mapping[str, Any]]) -> None:
+    """Print a table of several runs by name, and a line for each that ended early or passed limits.
+
+    Args:
+        title: Heading.
+        what: What the names are.
+        summaries: Summaries of the runs.
+    """
+    rows = []
+    for name, summary in summaries.items():
+        drift = summary["joint_drift_per_cycle"] or [math.nan]
+        figures = ("kinetic_energy_mean", "torque_max", "limit_ratio_max")
+        errors = (summary["task_error_max"], drift[0], drift[-1])
+        rows.append((name, summary["status"], *errors, *(summary[figure] for figure in figures)))
+    columns = ("task error", "first drift", "last drift", "mean energy", "max torque", "of limits")
+    console.print(grid(title, (what, "status", *columns), rows))
+    for name, summary in summaries.items():
+        if summary["message"]:
+            console.print(f"{name}: {summary['message']}", markup=False)
+        if summary["limits"]["passed"]:
+            console.print(f"{name}: limits {summary['limits']['told']}", markup=False)
 
 
 def guarded(command: Callable[[], int]) -> int:

@@ -19,7 +19,6 @@ from eos_pin.cli.output import (
     format_number,
     print_files,
     say_notes,
-    scene_of,
     show,
     stderr,
     write_json,
@@ -341,8 +340,8 @@ def _draw(found: Plan, files: Output, solids: Scene | None, clearances: Clearanc
     from eos_pin.plots.plan import picture
     from eos_pin.simulation._recorder import joint_run
     from eos_pin.trajectories.through import sampled
+    from eos_pin.viewer.replay import write_replay
     from eos_pin.viewer.solids import obstacles_of
-    from eos_pin.viewer.viewer import write_html
 
     written = []
     if files.plot is not None:
@@ -351,11 +350,11 @@ def _draw(found: Plan, files: Output, solids: Scene | None, clearances: Clearanc
         times = np.linspace(found.start, found.end, min(2000, 4 * len(found.times)))
         joints = found.joints(times)
         result = joint_run(found.task, times - found.start, joints, sampled(found.path, times), period=found.period)
-        scene = scene_of(result, found.robot, obstacles_of(solids), title=f"{found.robot.name}: plan")
+        told: dict[str, Any] = {"obstacles": obstacles_of(solids), "title": f"{found.robot.name}: plan"}
         if files.html is not None:
-            written.append(write_html(files.html, scene, result.t, result.q))
+            written.append(write_replay(files.html, result, found.robot, **told))
         if files.view:
-            show(scene, result)
+            show({"": result}, {"": found.robot}, **told)
     return written
 
 

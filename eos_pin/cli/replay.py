@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
+from eos_pin._files import write_atomically
 from eos_pin.cli.output import (
     Output,
     console,
     grid,
     print_files,
+    print_runs,
     run_table,
     say_notes,
-    scene_of,
     show,
     write_json,
     write_outputs,
@@ -25,48 +26,102 @@ from eos_pin.robot.library import available_robots
 
 # What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
 if TYPE_CHECKING:
-    pass
+    from collections.abc import Sequence
+
+    from eos_pin.robot.model import Robot
+    from eos_pin.simulation.result import Result
 
 
-def replay(run: tyro.conf.Positional[Path], output: Output = Output(), robot: str = "") -> int:
-    """Show a saved run in the browser, or write it as HTML, figure, table or JSON.
+def replay(runs: tyro.conf.Positional[tuple[Path, ...]], output: Output = Output(), robot: str = "") -> int:
+    """Show saved runs in the browser, or write them as HTML, figure, table or JSON.
+
+    Of several runs the first is solid and the others are ghosts at its place, or they stand side by side; their curves
+    lie over each other.
 
     Args:
-        run: The .npz file that `eos-pin track` wrote.
-        output: Outputs to make; by default it is shown in the browser.
-        robot: URDF file or name of the robot, where that of the run has moved. Only replays need it.
+        runs: The .npz files that `eos-pin track` and `eos-pin compare` wrote.
+        output: Outputs to make; by default the runs are shown in the browser.
+        robot: URDF file or name of the robot, where that of the runs has moved. Only replays need it.
 
     For example:
 
       eos-pin replay runs/panda-position/run.npz
       eos-pin replay runs/panda-position/run.npz --html panda.html --plot panda.pdf
+      eos-pin replay runs/panda-compare/eos.npz runs/panda-compare/task-space.npz
     """
-    output.without("seed", reason="the run is over")
+    output.without("seed", reason="the runs are over")
+    if not runs:
+        raise InputError("a replay needs a run, such as `eos-pin replay runs/panda-position/run.npz`")
     if robot and (output.csv or output.json) and not (output.html or output.plot or output.view or output.out):
         raise InputError(f"--robot {robot} does not apply: samples and figures need no robot; leave it out")
+    if len(runs) > 1:
+        output.without("csv", "bag", "rerun", reason="it takes one run, not several")
     from eos_pin.simulation.result import Result
 
-    result = Result.load(run)
-    plant, missing = None, ""
-    try:
-        plant = result.load_plant(robot)
-        say_notes(plant)
-    except EosError as error:
-        if robot:
-            raise
-        missing = str(error)
-    console.print(run_table(result.summary()))
-    files = output.within(None, names={"html": "replay.html", "plot": "overview.png", "json": "summary.json"})
-    written = write_outputs(replace(files, out=None), result, plant)
+    results = {name: Result.load(file) for name, file in zip(_names(runs), runs, strict=True)}
+    plants: dict[str, Robot] = {}
+    missing = ""
+    for name, result in results.items():
+        try:
+            plants[name] = result.load_plant(robot)
+            say_notes(plants[name])
+        except EosError as error:
+            if robot:
+                raise
+            missing = missing or str(error)
+    summaries = {name: result.summary() for name, result in results.items()}
+    first = next(iter(results))
+    names = {"html": "replay.html", "plot": "overview.png", "json": "summary.json"}
+    files = replace(output.within(None, names=names), out=None)
+    if len(runs) == 1:
+        console.print(run_table(summaries[first]))
+        written = write_outputs(files, results[first], plants.get(first))
+    else:
+        print_runs(f"{len(runs)} runs", "run", summaries)
+        written = _write_several(files, results, plants, summaries)
     print_files(written)
-    if plant is None and (files.html or output.view or not written):
+    if missing and (files.html or output.view or not written):
         raise InputError(
             f"there is no replay without the robot: {missing.rstrip('. ')}. Give its URDF with --robot FILE; --csv, "
             "--json and --plot work without"
         )
-    if plant is not None and (output.view or not written):
-        show(scene_of(result, plant), result)
+    if not missing and (output.view or not written):
+        show(results, plants)
     return 0
+
+
+def _names(files: Sequence[Path]) -> list[str]:
+    """Names of runs, after their files and as many folders as are needed to distinguish them."""
+    paths = [file.resolve().with_suffix("").parts for file in files]
+    if len(set(paths)) < len(paths):
+        raise InputError(f"each run is shown once, got {', '.join(map(str, files))}")
+    names: list[str] = []
+    for count in range(1, max(map(len, paths)) + 1):
+        names = ["/".join(parts[-count:]) for parts in paths]
+        if len(set(names)) == len(names):
+            break
+    # Where all are called the same, the folders say it.
+    return [name.removesuffix("/run") for name in names]
+
+
+def _write_several(
+    files: Output, results: dict[str, Result], plants: dict[str, Robot], summaries: dict[str, Any]
+) -> list[Path]:
+    """Write figure, JSON and replay of several runs."""
+    written = []
+    if files.json is not None:
+        written.append(write_json(files.json, summaries))
+    if files.plot is not None:
+        from eos_pin.plots import pages as plots
+
+        written.append(plots.save(plots.comparison(results, next(iter(plants.values()), None)), files.plot))
+    if files.html is not None and len(plants) == len(results):
+        from eos_pin.viewer.replay import replay_page, scene_of
+
+        text = replay_page(results, {name: scene_of(run, plants[name]) for name, run in results.items()})
+        write_atomically(files.html, lambda file: file.write(text.encode()))
+        written.append(files.html)
+    return written
 
 
 def robots(name: tyro.conf.Positional[str] = "", output: Output = Output()) -> int:

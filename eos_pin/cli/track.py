@@ -6,14 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from eos_pin.cli.follow import Planned, loaded_plan, made_plan, obstacles_in, repeat_note
 from eos_pin.cli.output import (
     Output,
     console,
-    grid,
     print_files,
+    print_runs,
     progress,
     run_table,
     say_notes,
@@ -98,7 +96,8 @@ def track(
         warn_of_gravity(machine, q)
     else:
         loop = commanded_loop(control, goal, reference, q, period=period, law=law)
-    with progress(output, machine, q, duration, f"{machine.name}, {task.task}") as observer:
+    name = f"{machine.name}, {task.task}"
+    with progress(output, machine, q, duration, name, (goal, reference)) as observer:
         if torque:
             start = motion.dq if motion else None
             result = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer, dq=start)
@@ -138,7 +137,7 @@ def compare(
         path: Where it should go.
         simulation: How it is simulated.
         output: Results to keep.
-        controllers: Which controllers, the first one in the replay.
+        controllers: Which controllers; in the replay the first is solid and the others are ghosts.
         metric: Metric of the charts of those that have any.
 
     For example:
@@ -158,42 +157,17 @@ def compare(
     results: dict[str, Result] = {}
     for kind in controllers:
         controller = ControlOptions(kind, metric=metric).make(goal, reference, q, simulation.control_period)
-        with progress(output, machine, q, duration, f"{machine.name}: {kind}") as observer:
+        name = f"{machine.name}: {kind}"
+        with progress(output, machine, q, duration, name, (goal, reference)) as observer:
             results[kind] = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer)
     summaries = {name: result.summary() for name, result in results.items()}
-    rows = []
-    for name, summary in summaries.items():
-        drift = summary["joint_drift_per_cycle"] or [np.nan]
-        quantities = (
-            summary["task_error_max"],
-            drift[0],
-            drift[-1],
-            summary["kinetic_energy_mean"],
-            summary["torque_max"],
-            summary["limit_ratio_max"],
-        )
-        rows.append((name, summary["status"], *quantities))
-    columns = (
-        "controller",
-        "status",
-        "task error",
-        "first drift",
-        "last drift",
-        "mean energy",
-        "max torque",
-        "of limits",
-    )
-    console.print(grid(f"{machine.name}: {goal!r}", columns, rows))
-    for name, summary in summaries.items():
-        if summary["message"]:
-            console.print(f"{name}: {summary['message']}", markup=False)
-        if summary["limits"]["passed"]:
-            console.print(f"{name}: limits {summary['limits']['told']}", markup=False)
-    names = {"json": "summary.json", "plot": "comparison.png"}
+    print_runs(f"{machine.name}: {goal!r}", "controller", summaries)
+    names = {"json": "summary.json", "html": "replay.html", "plot": "comparison.png"}
     files = output.within(Path("runs") / f"{Path(robot.robot).stem}-compare", names=names)
     from eos_pin.plots import pages as plots
 
     written = [result.save(files.out / f"{name}.npz") for name, result in results.items() if files.out]
     first, wanted = results[controllers[0]], replace(files, out=None)
-    print_files(written + write_outputs(wanted, first, machine, figures=summaries, plot=plots.comparison(results)))
+    plot, shown = plots.comparison(results), {name: run for name, run in results.items() if len(run.t)}
+    print_files(written + write_outputs(wanted, first, machine, figures=summaries, plot=plot, runs=shown))
     return 0 if first.ok else 1

@@ -13,7 +13,6 @@ from eos_pin.cli.output import (
     console,
     format_number,
     grid,
-    scene_of,
     show,
     write_outputs,
 )
@@ -77,7 +76,7 @@ def run_obstacle_example(application: Application, output: Output, title: str) -
     if written:
         console.print("Wrote " + ", ".join(map(str, written)), soft_wrap=True)
     if output.view:
-        show(scene_of(result, robot, obstacles, title=title), result)
+        show({"": result}, {"": robot}, obstacles, title=title)
     return 0 if all(holds.values()) else 1
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from eos_pin.planning.obstacles.bodies import Bodies, Clearances
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
 from eos_pin.viewer.scene import Placed, Scene, packed
-from eos_pin.viewer.viewer import page
+from eos_pin.viewer.viewer import page, script
 
 #: Tasks of which the page has formulas.
 KNOWN = ("position", "orientation", "pose", "heading")
@@ -56,9 +55,7 @@ def write_explorer(path: str | os.PathLike[str], task: Task, q: JointVector, *, 
             caption=f"Drag the hand: the self-motion rests. Drag the elbow, {elbow}: the task rests.",
             more={"explorer": data},
         ),
-        scripts=tuple(
-            files("eos_pin.viewer").joinpath(name).read_text("utf-8") for name in ("kinematics.js", "explorer.js")
-        ),
+        scripts=(script("kinematics.js"), script("explorer.js")),
     )
     write_atomically(path, lambda file: file.write(text.encode()))
     return path

@@ -11,15 +11,13 @@ import numpy as np
 from eos_pin._files import write_atomically
 from eos_pin.experiments.lesson import Lesson
 from eos_pin.planning.obstacles.clearance import Obstacle
+from eos_pin.viewer.replay import ACROSS, APART, FPS
 from eos_pin.viewer.scene import Placed, Scene, packed, sampled
 from eos_pin.viewer.viewer import page
 
-#: Radius of the mark on the point that is held, and half the distance of the robots, as parts of the reach.
-MARK, APART = 0.035, 0.62
-#: Direction from left to right as the page looks at it.
-ACROSS = np.array([1.0, 0.62, 0.0]) / np.hypot(1.0, 0.62)
+#: Radius of the mark on the point that is held, as a part of the reach.
+MARK = 0.035
 RED = (0.84, 0.37, 0.0, 1.0)
-FPS = 30.0
 
 
 def write_lesson(path: str | os.PathLike[str], found: Lesson) -> Path:

@@ -130,14 +130,18 @@ class Placed(NamedTuple):
     Attributes:
         scene: The scene.
         q: Joints at the times of the picture [rad or m], (K, n).
-        offset: Where its origin stands [m].
-        label: A word or two that stand above it.
+        offset: Where its origin stands when the robots stand beside each other [m].
+        label: A word or two that stand below it then.
+        color: Colour of its curves as #rrggbb, where there are several runs; a ghost is tinted with it.
+        ghost: Whether it is drawn so that others are seen through it.
     """
 
     scene: Scene
     q: Float[np.ndarray, "K n"]
     offset: Vector = np.zeros(3)
     label: str = ""
+    color: str = ""
+    ghost: bool = False
 
 
 def packed(
@@ -150,15 +154,16 @@ def packed(
         shown: Scenes.
         title: Heading.
         caption: Sentences below it.
-        more: Plain values that scripts of the page ask for.
+        more: Values that scripts of the page ask for, plain ones and arrays.
     """
     joints = sum(each.scene._links for each in shown)
     blocks: list[bytes] = []
     stored: dict[object, list[dict[str, Any]]] = {}
-    head: dict[str, list[dict[str, Any]]] = {name: [] for name in ("parts", "paths", "traces", "obstacles", "labels")}
+    names = ("robots", "parts", "paths", "traces", "obstacles")
+    head: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
     links: list[Array] = []
     solids: list[Array] = []
-    for scene, q, offset, label in shown:
+    for k, (scene, q, offset, label, color, ghost) in enumerate(shown):
         if len(t) != len(q):
             raise InputError(f"joints are needed for each of {len(t)} times, got {len(q)} rows")
         # The page counts the links of all robots first, then all obstacles.
@@ -167,22 +172,19 @@ def packed(
         def number(body: int, own: int = own, first: int = first, later: int = later) -> int:
             return body if body < 0 else first + body if body < own else later + body - own
 
+        head["robots"].append({"label": label, "offset": list(offset), "color": color, "ghost": ghost})
+        head["robots"][-1] |= {"links": [first, own], "solids": [later, len(scene.obstacles)]}
         for mesh, body, placement in scene._parts(blocks, stored):
-            matrix = placement.copy()
-            if body < 0:
-                matrix[:3, 3] += offset
-            head["parts"].append({**mesh, "body": number(body), "matrix": matrix.T.ravel().tolist()})
+            place = {"robot": k, "body": number(body), "matrix": placement.T.ravel().tolist()}
+            head["parts"].append({**mesh, **place})
         for name, points in scene.paths.items():
-            head["paths"].append({"name": name, "points": _store(blocks, points + offset, "f4")})
+            head["paths"].append({"robot": k, "name": name, "points": _store(blocks, points, "f4")})
         for name, frame_name in scene.traces.items():
             frame = scene.robot.model.frames[scene.robot.frame_id(frame_name)]
-            body, point = int(frame.parentJoint) - 1, frame.placement.translation
-            point = point + offset if body < 0 else point
-            head["traces"].append({"name": name, "body": number(body), "point": point.tolist()})
+            point = {"body": number(int(frame.parentJoint) - 1), "point": frame.placement.translation.tolist()}
+            head["traces"].append({"robot": k, "name": name, **point})
         head["obstacles"] += [{"name": o.name, "color": o.color[:3]} for o in scene.obstacles]
-        head["labels"] += [{"text": label, "body": first, "own": own}] if label else []
         poses = np.array([scene.poses(*frame) for frame in zip(t, q, strict=True)])
-        poses[:, :, :3] += offset
         links.append(poses[:, :own])
         solids.append(poses[:, own:])
     header = {
@@ -195,7 +197,7 @@ def packed(
         "times": _store(blocks, t, "f8"),
         "poses": _store(blocks, np.concatenate((*links, *solids), axis=1), "f4"),
     }
-    text = json.dumps(header).encode()
+    text = json.dumps(header, default=lambda array: _store(blocks, array, array.dtype.str[1:])).encode()
     text += b" " * (-(4 + len(text)) % 8)
     return gzip.compress(len(text).to_bytes(4, "little") + text + b"".join(blocks), 9, mtime=0)
 

@@ -12,10 +12,11 @@ import importlib.util
 import os
 import time
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -31,10 +32,12 @@ from eos_pin._arrays import (
 )
 from eos_pin._files import write_atomically
 from eos_pin.errors import MissingDependencyError
-from eos_pin.viewer.scene import Scene, sampled
+from eos_pin.viewer.curves import LiveCurves, described
+from eos_pin.viewer.scene import Placed, Scene, packed, sampled
 
 #: Kinds of message to a live page: one more frame of a run, or a whole motion instead of what the page has.
 FRAME, MOTION = 0, 1
+Self = TypeVar("Self", bound="Served")
 
 
 @checked
@@ -66,48 +69,26 @@ def write_html(
     return path
 
 
-class Viewer:
-    """Live view of a robot, in any number of browsers on this machine.
-
-    The server is a thread of this process and listens on the loopback interface only: no other machine can connect, and
-    nothing stays behind, however the process ends. Browsers may come, go and reload at any time; each keeps what it
-    has received, to be scrubbed back and forth, also when the run is over. For example:
-
-        with Viewer(scene, q) as viewer:
-            viewer.open()
-            for t, q in motion:
-                viewer.show(t, q)
+class Served:
+    """A page in any number of browsers on this machine, from a server that ends with this process.
 
     Attributes:
         url: Address to open in a browser.
     """
 
-    @checked
-    def __init__(
-        self, scene: Scene, q: VectorLike, *, t: float = 0.0, speed: float = 1.0, fps: float = 60.0, port: int = 7000
-    ) -> None:
+    def __init__(self, make: Callable[[str], str], port: int = 7000) -> None:
         """Start the server.
 
         Args:
-            scene: The scene to show.
-            q: Joints at the start [rad or m].
-            t: Time at the start [s].
-            speed: Pace that `show` holds: 1 for real time; a large number for as fast as the caller is.
-            fps: Frames sent at most in each second of the clock on the wall.
+            make: The page, for the connections that it may make.
             port: Port to listen on if it is free; otherwise the system chooses one.
         """
         # Serving needs tornado, which a script that only writes files should not wait for.
         from eos_pin.viewer._server import LOOPBACK, Server
 
-        self._scene = scene
-        self._speed, self._period = number(speed, "speed", above=0.0), 1.0 / number(fps, "fps", above=0.0)
-        packed = scene.pack(*sampled(scene.robot, [t], np.array([vector(q, scene.robot.n, "q")]), rate=fps))
         self._server = Server(port)
         self.url = self._server.url
-        self._server.serve(
-            page(packed, connect=f"ws://{LOOPBACK}:{self._server.port} ws://localhost:{self._server.port}")
-        )
-        self._time, self._due, self._sent = t, time.monotonic(), -np.inf
+        self._server.serve(make(f"ws://{LOOPBACK}:{self._server.port} ws://localhost:{self._server.port}"))
 
     @property
     def browsers(self) -> int:
@@ -126,6 +107,65 @@ class Viewer:
         """
         return webbrowser.open(self.url) and self._server.seen.wait(wait)
 
+    def close(self) -> None:
+        """Stop the server; browsers keep the motion that they have."""
+        self._server.close()
+
+    def __enter__(self: Self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+class Viewer(Served):
+    """Live view of a robot, in any number of browsers on this machine.
+
+    The server is a thread of this process and listens on the loopback interface only: no other machine can connect, and
+    nothing stays behind, however the process ends. Browsers may come, go and reload at any time; each keeps what it
+    has received, to be scrubbed back and forth, also when the run is over. For example:
+
+        with Viewer(scene, q) as viewer:
+            viewer.open()
+            for t, q in motion:
+                viewer.show(t, q)
+
+    Attributes:
+        url: Address to open in a browser.
+    """
+
+    @checked
+    def __init__(
+        self,
+        scene: Scene,
+        q: VectorLike,
+        *,
+        t: float = 0.0,
+        speed: float = 1.0,
+        fps: float = 60.0,
+        port: int = 7000,
+        curves: LiveCurves | None = None,
+    ) -> None:
+        """Start the server.
+
+        Args:
+            scene: The scene to show.
+            q: Joints at the start [rad or m].
+            t: Time at the start [s].
+            speed: Pace that `show` holds: 1 for real time; a large number for as fast as the caller is.
+            fps: Frames sent at most in each second of the clock on the wall.
+            port: Port to listen on if it is free; otherwise the system chooses one.
+            curves: Curves that grow beside the picture; see `eos_pin.viewer.curves.live_curves`.
+        """
+        self._scene = scene
+        self._speed, self._period = number(speed, "speed", above=0.0), 1.0 / number(fps, "fps", above=0.0)
+        q, self._curves = vector(q, scene.robot.n, "q"), curves
+        more = {"curves": described({"": (np.array([t]), curves.panels)})} if curves else None
+        heading = {"title": scene.title or scene.robot.name, "caption": scene.caption}
+        shown = packed(np.array([t]), [Placed(scene, q[None])], **heading, more=more)
+        super().__init__(lambda connect: page(shown, connect=connect), port)
+        self._time, self._due, self._sent = t, time.monotonic(), -np.inf
+
     @checked
     def show(self, t: float, q: JointVector) -> None:
         """Show the robot at time `t` [s]; waits while the run is ahead of the clock on the wall."""
@@ -135,7 +175,8 @@ class Viewer:
         time.sleep(max(self._due - time.monotonic(), 0.0))
         if time.monotonic() - self._sent >= self._period:
             self._sent = time.monotonic()
-            self._server.send(FRAME, _message(FRAME, np.array([t]), self._scene.poses(t, q)))
+            values = self._curves.read(t, q) if self._curves else ()
+            self._server.send(FRAME, _message(FRAME, np.array([t]), self._scene.poses(t, q), values))
 
     @checked
     def play(self, t: VectorLike, q: Float[np.ndarray, "k n"], *, fps: float = 30.0) -> None:
@@ -144,20 +185,10 @@ class Viewer:
         poses = np.array([self._scene.poses(*frame) for frame in zip(times, joints, strict=True)])
         self._server.send(MOTION, _message(MOTION, times, poses), final=True)
 
-    def close(self) -> None:
-        """Stop the server; browsers keep the motion that they have."""
-        self._server.close()
 
-    def __enter__(self) -> Viewer:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-
-def _message(kind: int, times: Vector, poses: Array) -> bytes:
-    """Message for the page's `receive`: kind, number of frames, their times, their poses."""
-    return np.concatenate([[kind, times.size], times, poses.ravel()]).astype("<f4").tobytes()
+def _message(kind: int, times: Vector, poses: Array, values: Array | tuple[()] = ()) -> bytes:
+    """Message for the page's `receive`: kind, number of frames, their times, poses, and values of curves."""
+    return np.concatenate([[kind, times.size], times, poses.ravel(), values]).astype("<f4").tobytes()
 
 
 def page(packed: bytes, *, connect: str = "'none'", scripts: Sequence[str] = ()) -> str:
@@ -168,11 +199,17 @@ def page(packed: bytes, *, connect: str = "'none'", scripts: Sequence[str] = ())
         connect: Content security policy for connections; a file needs none.
         scripts: Scripts of a page that does more than to replay.
     """
-    template = files("eos_pin.viewer").joinpath("player.html").read_text(encoding="utf-8")
+    scripts = (script("curves.js"), *scripts)
+    template = script("player.html")
     marks = {"connect": connect, "meshcat": _meshcat(), "scene": _text(packed), "scripts": "\n".join(scripts)}
     for mark, text in marks.items():
         template = template.replace(f"@{mark}@", text, 1)
     return template
+
+
+def script(name: str) -> str:
+    """A script of the page."""
+    return files("eos_pin.viewer").joinpath(name).read_text(encoding="utf-8")
 
 
 @cache

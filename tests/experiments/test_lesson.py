@@ -67,15 +67,14 @@ def test_lesson_page_has_both_robots(taught: Lesson, tmp_path: Path) -> None:
     size = int.from_bytes(block[:4], "little")
     header = json.loads(block[4 : 4 + size])
     assert (header["joints"], header["bodies"]) == (14, 15)
-    assert [label["body"] for label in header["labels"]] == [0, 7]
+    assert [robot["links"] for robot in header["robots"]] == [[0, 7], [7, 7]]
     assert [trace["body"] for trace in header["traces"]] == [2, 9]
     poses = np.frombuffer(block, "<f4", header["poses"]["count"], 4 + size + header["poses"]["start"])
     poses = poses.reshape(-1, 15, 7)
     # Both start in the same posture, side by side.
-    apart = poses[0, 7:14, :3] - poses[0, :7, :3]
-    assert np.abs(apart - apart[0]).max() < 1e-6
-    assert np.linalg.norm(apart[0]) > 0.5 * taught.task.robot.reach
-    assert np.abs(poses[0, 7:14, 3:] - poses[0, :7, 3:]).max() < 1e-6
+    assert np.abs(poses[0, 7:14] - poses[0, :7]).max() < 1e-6
+    apart = np.subtract(*(robot["offset"] for robot in header["robots"]))
+    assert np.linalg.norm(apart) > 0.5 * taught.task.robot.reach
 
 
 @pytest.mark.slow

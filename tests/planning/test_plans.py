@@ -470,16 +470,16 @@ def test_track_follows_a_plan_and_reports_its_distance(tmp_path, round_trip, cap
 @pytest.mark.usefixtures("quick_pictures")
 def test_replay_of_a_tracked_plan_shows_the_solids_of_its_scene(tmp_path, round_trip, monkeypatch):
     from eos_pin.cli.main import main
-    from eos_pin.viewer import viewer
+    from eos_pin.viewer import replay
 
     shown = []
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(viewer, "write_html", lambda file, scene, *rest: shown.append(scene) or file)
+    monkeypatch.setattr(replay, "write_replay", lambda file, *rest, **told: shown.append(told) or file)
     scene = tmp_path / "scene.yaml"
     scene.write_text("boxes:\n  - {centre: [0.9, 0.9, 0.4], size: [0.1, 0.1, 0.1], name: crate}\n")
     file = round_trip.save(tmp_path / "plan.npz")
     assert main(["track", "panda", "--plan", str(file), "--duration", "0.1", "--scene", str(scene)]) == 0
-    assert [obstacle.name for obstacle in shown[0].obstacles] == ["crate"]
+    assert [obstacle.name for obstacle in shown[0]["obstacles"]] == ["crate"]
 
 
 @pytest.mark.usefixtures("quick_pictures")
