@@ -12,7 +12,7 @@ from eos_pin.experiments.bench.laws import LAWS, Setup
 from eos_pin.experiments.bench.page import page
 from eos_pin.experiments.bench.settings import SETTINGS, USUAL
 from eos_pin.experiments.bench.trial import LOST, BenchTrial, scene
-from eos_pin.experiments.bench.verdict import _holm, verdict
+from eos_pin.experiments.bench.verdict import _holm, enough, verdict
 
 
 def rows(errors, setting="exact", robots=("panda",)):
@@ -83,6 +83,15 @@ def test_verdict_counts_lost_runs_as_worst():
     assert found.standings[1].lost == 12
 
 
+def test_verdict_needs_pairs_enough_for_holm():
+    base = np.exp(np.random.default_rng(2).normal(size=40))
+    for laws in (2, 3, 20):
+        n = enough(laws)
+        table = {f"law {k}": (1.0 + k) * base for k in range(laws)}
+        shown = [verdict(rows({name: own[:m] for name, own in table.items()}), "exact").winner for m in (n, n - 1)]
+        assert shown == ["law 0", ""]
+
+
 def test_holm_adjusts_as_the_textbook_does():
     # Holm 1979: 0.01, 0.02, 0.03 and 0.005 become 0.03, 0.04, 0.04 and 0.02.
     np.testing.assert_allclose(_holm(np.array([0.01, 0.02, 0.03, 0.005])), [0.03, 0.04, 0.04, 0.02])
@@ -104,7 +113,7 @@ def test_gains_are_those_with_the_least_error_among_smooth_torques(monkeypatch, 
 
     monkeypatch.setattr(harness, "sweep", fake)
     found = harness.find_gains(("panda",), ("eos", "gauss"), 1, {}, lambda *_: None)
-    assert found == {("panda", "eos"): (32.0, 2.0), ("panda", "gauss"): (48.0, 8.0)}
+    assert found == {("panda", "eos"): (32.0, 2.0), ("panda", "gauss"): (45.0, 8.0)}
 
 
 def test_gains_with_about_equal_errors_are_those_with_the_least_drift(monkeypatch):

@@ -19,7 +19,9 @@ from eos_pin.experiments.sweeps import sweep, write_table
 from eos_pin.experiments.trial import Row
 
 #: Rates among which those of each law are chosen, of the task and of what is left free [1/s].
-TASK_RATES, FREE_RATES = (16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0), (2.0, 8.0)
+#: The former in steps of about 2^(1/4): errors fall with their square, so that wide steps would decide between laws.
+TASK_RATES = (16.0, 19.0, 23.0, 27.0, 32.0, 38.0, 45.0, 54.0, 64.0, 76.0, 91.0, 108.0, 128.0)
+FREE_RATES = (2.0, 8.0)
 #: Roughness of the torque in the search, as a part of the torque itself, up to which gains count: noise and delay make
 #: it grow with them, and no motor bears it as far as errors fall.
 ROUGH = 0.05

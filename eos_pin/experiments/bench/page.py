@@ -10,7 +10,7 @@ from eos_pin.experiments.bench.harness import FREE_RATES, ROBOTS, ROUGH, TASK_RA
 from eos_pin.experiments.bench.laws import LAWS, STATED_ERROR
 from eos_pin.experiments.bench.settings import RATE, SETTINGS, USUAL
 from eos_pin.experiments.bench.trial import DURATION, LOST, OFF, PERIOD, SETTLED, SIZE
-from eos_pin.experiments.bench.verdict import ALIKE, ENOUGH, Verdict, verdict
+from eos_pin.experiments.bench.verdict import ALIKE, Verdict, enough, verdict
 from eos_pin.experiments.trial import Row
 
 HEAD = """# Which controller?
@@ -95,9 +95,11 @@ def _in_short(verdicts: Sequence[Verdict]) -> str:
     none = [v.setting for v in verdicts if not v.winner]
     if none:
         lines.append(f"* No winner with {_settings(none)}: several laws are as good, as far as these runs show.")
-    few = [v for v in verdicts if v.pairs < ENOUGH]
+    needed = enough(len(verdicts[0].standings))
+    few = [v.setting for v in verdicts if v.pairs < needed]
     if few:
-        lines.append(f"* Fewer than {ENOUGH} pairs with {_settings([v.setting for v in few])}: nothing is shown there.")
+        where = "all settings" if len(few) == len(verdicts) else _settings(few)
+        lines.append(f"* Fewer than {needed} pairs with {where}: nothing can be shown there.")
     return "\n".join(lines)
 
 
@@ -221,6 +223,7 @@ def _findings(verdicts: Sequence[Verdict], rows: Sequence[Row], laws: Sequence[s
 
 
 def _how(rows: Sequence[Row]) -> str:
+    laws = {row["law"] for row in rows}
     times = [row["seconds"] for row in rows if np.isfinite(row["seconds"])]
     total = float(np.sum(times))
     whole = len(LAWS) * len(ROBOTS) * len(USUAL) * 20
@@ -241,8 +244,9 @@ comparisons, and no part of the names at the top of the package.
 
 Runs are paired by robot and seed. A law is worse than the best where its median ratio is above {1.0 + ALIKE:g}, its
 bootstrap interval lies above 1, and Wilcoxon's signed-rank test rejects at 5 % after Holm's correction for all laws of
-the setting. With less than {ENOUGH} pairs there is no winner. The {len(rows):,} runs took {total / 60.0:.1f} minutes
-of one core; the whole bench of {whole:,} would take {whole * total / len(times) / 3600.0:.1f} hours of one core.
+the setting. With less than {enough(len(laws))} pairs of so many laws that test cannot reject. The {len(rows):,} runs
+took {total / 60.0:.1f} minutes of one core; the whole bench of {whole:,} would take
+{whole * total / len(times) / 3600.0:.1f} hours of one core.
 {_at_the_edge(rows)}"""
 
 

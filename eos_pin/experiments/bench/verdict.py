@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,16 @@ from eos_pin.experiments.trial import Row
 ALIKE = 0.05
 #: Confidence of intervals, level of tests, resamples of a bootstrap, and pairs from which a verdict is given.
 CONFIDENCE, RESAMPLES, ENOUGH = 0.95, 2000, 6
+
+
+def enough(laws: int) -> int:
+    """Pairs from which a verdict can be given: Holm's test rejects nothing with less, however clear the difference is.
+
+    Args:
+        laws: Number of laws.
+    """
+    # The signed-rank test of n pairs has probabilities from 2/2ⁿ on.
+    return max(ENOUGH, 1 + math.ceil(math.log2(max(laws - 1, 1) / (1.0 - CONFIDENCE))))
 
 
 @dataclass(frozen=True)
@@ -68,7 +79,7 @@ class Verdict:
     @property
     def winner(self) -> str:
         """The law that is better than every other; empty where none is."""
-        return self.best[0] if len(self.best) == 1 and self.pairs >= ENOUGH else ""
+        return self.best[0] if len(self.best) == 1 and self.pairs >= enough(len(self.standings)) else ""
 
 
 def verdict(rows: Sequence[Row], setting: str) -> Verdict:
