@@ -98,8 +98,8 @@ def _in_short(verdicts: Sequence[Verdict]) -> str:
     needed = enough(len(verdicts[0].standings))
     few = [v.setting for v in verdicts if v.pairs < needed]
     if few:
-        where = "all settings" if len(few) == len(verdicts) else _settings(few)
-        lines.append(f"* Fewer than {needed} pairs with {where}: nothing can be shown there.")
+        there = "all settings" if len(few) == len(verdicts) else _settings(few)
+        lines.append(f"* Fewer than {needed} pairs with {there}: nothing can be shown there.")
     return "\n".join(lines)
 
 
