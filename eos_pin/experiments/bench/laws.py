@@ -128,18 +128,19 @@ def _on_plan(s: Setup) -> Controller:
 
 
 def _impedance(s: Setup) -> Controller:
-    """Stiffness and damping that give the same rates with the inertia at the start."""
+    """Stiffness and damping that give the same rates at the start, to z with v free to give way and the other way."""
     chart = Atlas(s.task).start(s.posture)
-    H = np.linalg.inv(np.vstack((s.task.linearize(s.posture)[1], chart.W.T)))
-    M = H.T @ s.task.robot.mass(s.posture) @ H
+    A = np.vstack((s.task.linearize(s.posture)[1], chart.W.T))
+    mobility = A @ np.linalg.solve(s.task.robot.mass(s.posture), A.T)
     m = s.task.m
+    of_z, of_v = (np.linalg.inv(block) for block in (mobility[:m, :m], mobility[m:, m:]))
     return ImpedanceController(
         s.task,
         s.path,
-        stiffness=s.task_rate**2 * M[:m, :m],
-        damping=2.0 * s.task_rate * M[:m, :m],
-        self_motion_stiffness=s.free_rate**2 * M[m:, m:],
-        self_motion_damping=2.0 * s.free_rate * M[m:, m:],
+        stiffness=s.task_rate**2 * of_z,
+        damping=2.0 * s.task_rate * of_z,
+        self_motion_stiffness=s.free_rate**2 * of_v,
+        self_motion_damping=2.0 * s.free_rate * of_v,
         posture=s.posture,
     )
 
