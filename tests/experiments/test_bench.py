@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from eos_pin import InputError, UnknownNameError
+from eos_pin import InputError, MujocoPlant, UnknownNameError
 from eos_pin.cli.main import main
 from eos_pin.experiments.bench import harness
 from eos_pin.experiments.bench.laws import LAWS, Setup
 from eos_pin.experiments.bench.page import page
 from eos_pin.experiments.bench.settings import SETTINGS, USUAL
-from eos_pin.experiments.bench.trial import LOST, BenchTrial, scene
+from eos_pin.experiments.bench.surface import cut_off, with_surface
+from eos_pin.experiments.bench.trial import LOST, PERIOD, BenchTrial, scene
 from eos_pin.experiments.bench.verdict import _holm, enough, verdict
 
 
@@ -51,6 +52,22 @@ def test_setting_disturbs(setting, monkeypatch):
     assert plain.ok
     assert disturbed.ok
     assert np.abs(disturbed.q[-1] - plain.q[-1]).max() > 1e-6
+
+
+def test_surface_pushes_the_tool_out_and_nothing_else():
+    task, path, q, _ = scene("panda")
+    robot, rest = task.robot, np.zeros(task.robot.n)
+    frame, z, normal = robot.options["chain_to"], task.value(q), np.array([0.0, 0.6, 0.8])
+    free = MujocoPlant.from_robot(robot, integrator="implicitfast").advance(q, rest, robot.gravity(q), 1e-3)[1]
+    for depth in (-0.001, 0.001):
+        plant = with_surface(robot, frame, z + depth * normal, normal)
+        moved = task.linearize(q)[1] @ (plant.advance(q, rest, robot.gravity(q), 1e-3)[1] - free)
+        assert (np.linalg.norm(moved) > 1e-6) == (depth > 0.0)
+        assert moved @ normal >= 0.0
+    # The plane cuts off the end of the path, with the normal towards the rest of it.
+    point, out = cut_off(path, PERIOD)
+    heights = np.array([out @ (path(t).z - point) for t in np.linspace(0.0, PERIOD, 400)])
+    assert 0.1 < -heights.min() / np.ptp(heights) < 0.2
 
 
 def test_verdict_finds_the_law_that_is_better():
