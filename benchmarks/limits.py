@@ -152,6 +152,12 @@ def main(
         divided = np.array(list(parallel(delayed(divided_steps)(seed) for seed in wild)))
         for parts, steps in zip(PARTS, divided.T, strict=True):
             figures[f"the same, the way between samples in {parts} parts"] = float(np.median(steps))
+        figures["runs of these"] = len(wild)
+        # A step that stays, however fine the parts are, is a jump.
+        finer = PARTS[-2] / PARTS[-1]
+        figures["of these, with steps that do not shrink with the parts"] = int(
+            (divided[:, -1] > 1.5 * finer * divided[:, -2]).sum()
+        )
     console.print(grid("Panda at its limits", ("what", "figure"), list(figures.items())))
     if json is not None:
         write_json(json, figures)
