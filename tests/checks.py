@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import eos_pin
+from eos_pin._arrays import frozen_copy
 from eos_pin._kernels.dispatch import REFERENCES, kernels
 
 #: Identities: rounding. Multiply by the condition number of what is inverted (`exact`).
@@ -31,6 +32,9 @@ compiled_only = pytest.mark.skipif(
     kernels is None and "EOS_PIN_NEEDS_COMPILER" not in os.environ, reason="installed without a C compiler"
 )
 
+#: Postures of panda, well within its limits and away from singularities.
+REST = frozen_copy(np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8]))
+READY = frozen_copy(np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7]))
 #: A whole turn [rad].
 TAU = 2.0 * np.pi
 

@@ -141,7 +141,7 @@ def cosine(J: Jacobian, Q: Float[Array, "n m"], *, enough: float, given: Jacobia
         Q: Orthonormal basis of the other space.
         enough: Where a lower bound exceeds this, it is returned instead, at a third of the cost: the product of the
             cosines of all principal angles, |det(J Q)| / √det(J Jᵀ).
-        given: The Jacobian in joints, by which full rank is told.
+        given: The Jacobian in joints, by which full rank is decided.
 
     Raises:
         SingularError: The Jacobian has not full rank.

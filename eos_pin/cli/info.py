@@ -77,7 +77,7 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
         r = machine.n - goal.m
         lines.append(f"Task: {goal!r}: m = {goal.m}, redundancy r = n - m = {r}")
         lines.append(f"Singular values of G' at the start: {', '.join(format_number(s) for s in found.sigma)}")
-        lines += [_told(found.coupling)] if found.coupling else []
+        lines += [_coupling_sentence(found.coupling)] if found.coupling else []
         lines += ["The task takes all joints (r = 0): there is no self-motion to command"] if r == 0 else []
     lines.append(f"Ends of branches: {', '.join(leaf_frames(machine))}")
     lines.append(f"All frames: {', '.join(machine.frames)}")
@@ -144,7 +144,7 @@ def _find_out(robot: Robot, options: TaskOptions) -> Findings:
     return found
 
 
-def _told(coupling: dict[str, dict[str, float]]) -> str:
+def _coupling_sentence(coupling: dict[str, dict[str, float]]) -> str:
     """Sentence about the coupling with each metric."""
     words = (f"{found['start']:.2f} and {found['around']:.2f} with --metric {name}" for name, found in coupling.items())
     return f"Inertial coupling of task and self-motion at the start, and 0.3 rad or m around it: {', '.join(words)}"

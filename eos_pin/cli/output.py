@@ -294,12 +294,12 @@ def run_table(summary: Mapping[str, Any]) -> Table:
         table.add_row("whole turns of a joint, cycle by cycle", turns)
     if summary["joint_distance"]:
         apart = summary["joint_distance"]
-        told = f"{format_number(apart['max'])} rad or m, at the end {format_number(apart['end'])}"
-        table.add_row("joints off the plan, at most", told)
+        text = f"{format_number(apart['max'])} rad or m, at the end {format_number(apart['end'])}"
+        table.add_row("joints off the plan, at most", text)
     table.add_row("chart switches", str(summary["chart_switches"]))
     if summary["coupling"]:
-        told = f"median {summary['coupling']['median']:.2f}, at most {summary['coupling']['max']:.2f}"
-        table.add_row("inertial coupling of task and self-motion", told)
+        text = f"median {summary['coupling']['median']:.2f}, at most {summary['coupling']['max']:.2f}"
+        table.add_row("inertial coupling of task and self-motion", text)
     if summary["given_up_seconds"]:
         table.add_row("part of the task given up", f"{format_number(summary['given_up_seconds'])} s")
     for what, key, unit in (
@@ -310,9 +310,9 @@ def run_table(summary: Mapping[str, Any]) -> Table:
         # Not every run has inertias, torques, or a computer.
         if not math.isnan(summary[key]):
             table.add_row(what, f"{format_number(summary[key])} {unit}")
-    if summary["limits"]["told"]:
-        told = escape(summary["limits"]["told"])
-        table.add_row("limits", f"[bold red]{told}[/]" if summary["limits"]["passed"] else told)
+    if summary["limits"]["message"]:
+        text = escape(summary["limits"]["message"])
+        table.add_row("limits", f"[bold red]{text}[/]" if summary["limits"]["passed"] else text)
     return table
 
 
@@ -336,7 +336,7 @@ def print_runs(title: str, what: str, summaries: Mapping[str, Mapping[str, Any]]
         if summary["message"]:
             console.print(f"{name}: {summary['message']}", markup=False)
         if summary["limits"]["passed"]:
-            console.print(f"{name}: limits {summary['limits']['told']}", markup=False)
+            console.print(f"{name}: limits {summary['limits']['message']}", markup=False)
 
 
 def guarded(command: Callable[[], int]) -> int:

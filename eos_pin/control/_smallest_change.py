@@ -46,7 +46,7 @@ FADE, SHARP = 1.0, 1.0
 #: Room for rounding in a bound that is settled [rad/s² or m/s²], more of it where that does not do, and how exactly
 #: daqp keeps it.
 HAIR, WIDER, EXACT = 1e-8, (1e-6, 1e-4), 1e-12
-#: How daqp is told that a limit may be passed at a price, and how close to zero is zero for the task [m/s² or rad/s²].
+#: Marks for daqp of a limit that may be passed at a price, and how close to zero is zero for the task [m/s² or rad/s²].
 HARD, SOFT, ZERO = 0, 8, 1e-9
 #: Torques and accelerations beyond this count as no limit.
 FAR = 1e12

@@ -213,7 +213,7 @@ class JointLimits:
             tau: Torques.
         """
         over, speed = np.maximum(q - self.upper, self.lower - q), np.abs(dq) / self.velocity
-        told = []
+        sentences = []
         for j, joint in enumerate(robot.joints):
             rows = np.flatnonzero((over[:, j] > POSITION) | (speed[:, j] > 1.0 + VELOCITY))
             if not len(rows):
@@ -234,8 +234,8 @@ class JointLimits:
                 )
             else:
                 why = "though it had torque left: other joints lacked it, or the motion was not the model's"
-            told.append(f"{joint.name!r} passed {' and '.join(amounts)}, first at t = {t[first]:.4g} s, {why}")
-        return f"limits were passed: {'; '.join(told)}" if told else ""
+            sentences.append(f"{joint.name!r} passed {' and '.join(amounts)}, first at t = {t[first]:.4g} s, {why}")
+        return f"limits were passed: {'; '.join(sentences)}" if sentences else ""
 
 
 def _viability(limits: JointLimits, period: float) -> Viability:

@@ -136,7 +136,7 @@ class ControlLoop:
         period, robot = agreed_period(controller, self._period), controller.robot
         if self._centred and (period is None or robot is None or controller.control_period is not None):
             raise InputError(
-                "centred torques need a control_period of the loop, and a controller that knows its robot and is not "
+                "centred torques need a control_period of the loop, and a controller that has a robot and is not "
                 "made for a period itself"
             )
         limits, rate, first = self._given

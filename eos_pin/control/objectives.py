@@ -154,7 +154,7 @@ class Track(Objective):
         kp: float | VectorLike = 100.0,
         kd: float | VectorLike = 20.0,
     ) -> None:
-        #: Controllers that are told when something is assigned, and make anew what they made of the old values.
+        #: Controllers that are notified of assignments, and make anew what they made of the old values.
         self.users: WeakSet[Any] = WeakSet()
         self._laws: dict[int, tuple[SelfMotionVector, SelfMotionVector, Trajectory]] = {}
         self._factors: tuple[Any, Any] = (None, None)

@@ -194,6 +194,6 @@ def _refuse_degrees(robot: Robot, q: Float[Array, "T n"], turning: Array, source
         joint = int(np.argmax(np.where(far, beyond(q), -np.inf)))
         raise InputError(
             f"{source}: {robot.joints[joint].name!r} goes from {q[:, joint].min():.4g} to {q[:, joint].max():.4g}, its "
-            f"limits are {robot.lower[joint]:.3g} and {robot.upper[joint]:.3g} rad. If the angles are in degrees, say "
-            "so with degrees=True (--degrees)"
+            f"limits are {robot.lower[joint]:.3g} and {robot.upper[joint]:.3g} rad. If the angles are in degrees, "
+            "give degrees=True (--degrees)"
         )

@@ -88,7 +88,7 @@ def sweep(
         where = f", and kept in {folder}" if files else ""
         raise EosError(
             f"a process of the sweep died, perhaps for lack of memory; {len(found)} of {len(wanted)} are done{where}. "
-            "Sweep again with fewer jobs, and look at what the process says"
+            "Sweep again with fewer jobs, and look at its error output"
         ) from error
     return [_cells(trial.settings) | found[trial.key] for trial in trials]
 
@@ -155,8 +155,8 @@ def _attempt(trial: Trial) -> tuple[str, Row]:
     try:
         figures = trial.figures(uninterrupted(trial.run()))
     except Exception as error:  # one run that fails must not end the others
-        told = str(error) if isinstance(error, EosError) else f"{type(error).__name__}: {error}".rstrip(": ")
-        figures = {"status": "failed", "message": told}
+        reason = str(error) if isinstance(error, EosError) else f"{type(error).__name__}: {error}".rstrip(": ")
+        figures = {"status": "failed", "message": reason}
     return trial.key, _cells(figures)
 
 

@@ -132,7 +132,7 @@ def plot_orbit(
         color: Colour of the orbit.
     """
     if not is_color_like(color):
-        raise InputError(f"color must be one that matplotlib knows, got {color!r}")
+        raise InputError(f"color must be a color of matplotlib, such as 'tab:blue', got {color!r}")
     points, names = _projection(result, robot, 3 if is_solid(ax) else 2, joints)
     rows = [*dict.fromkeys((*result.cycle_rows.tolist(), len(result.t) - 1))]
     shades = np.linspace(0.3 if len(rows) > 2 else 1.0, 1.0, len(rows))[1:]

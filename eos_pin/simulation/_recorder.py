@@ -309,8 +309,8 @@ def joint_run(
     if np.isfinite(z).all():
         error = np.array([task._minus(a, b) for a, b in zip(z, reached, strict=True)]).reshape(len(t), task.m)
     none = np.zeros_like(error)
-    told = {"robot": _record(robot), "task": task.describe(), "controller": {"kind": "Kinematics"}, "arguments": {}}
-    told["limits"] = limits_of(robot, moving=moving)
+    origin = {"robot": _record(robot), "task": task.describe(), "controller": {"kind": "Kinematics"}, "arguments": {}}
+    origin["limits"] = limits_of(robot, moving=moving)
     dz, energy = none, rest
     if moving:
         rows = list(zip(q, speeds, strict=True))
@@ -327,7 +327,7 @@ def joint_run(
     }  # fmt: skip
     return Result(
         t=t, q=q, dq=speeds, z=reached, dz=dz, z_ref=z, error=error, v=v, chart=chart, period=period,
-        status=status if message else "finished", message=message, info=provenance() | told | dict(info or {}),
+        status=status if message else "finished", message=message, info=provenance() | origin | dict(info or {}),
         **given | columns, **names_of(task),
     )  # fmt: skip
 

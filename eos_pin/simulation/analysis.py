@@ -63,9 +63,9 @@ def analyze(
     joints, step = CubicSpline(t, q), float(np.median(np.diff(t)))
     if period is None:
         period = round_of(task, t, q)
-        told = "found" if math.isfinite(period) else "none found"
+        rounds = "found" if math.isfinite(period) else "none found"
     else:
-        period, told = number(period, "the period", above=0.0), "given"
+        period, rounds = number(period, "the period", above=0.0), "given"
     speeds = joints(t, 1) if dq is None else dq
     if math.isfinite(period):
         exact = period * np.arange(1, int(t[-1] / period + 1e-9) + 1)
@@ -74,7 +74,7 @@ def analyze(
         speeds = np.insert(speeds, where, CubicSpline(t, speeds)(exact), axis=0)
         q, t = np.insert(q, where, joints(exact), axis=0), np.insert(t, where, exact)
     info = {
-        "controller": {"kind": "Log"}, "arguments": {"kind": "log", "source": source, "rounds": told},
+        "controller": {"kind": "Log"}, "arguments": {"kind": "log", "source": source, "rounds": rounds},
         "cpu_seconds": math.nan,
     }  # fmt: skip
     z = np.full((len(t), task.size), math.nan)

@@ -54,11 +54,11 @@ def use_of_limits(
     Returns:
         For `"position"`, `"velocity"` and `"torque"` the worst `ratio` with its `joint`, and `per_joint`, the ratio of
         each joint by name, NaN where it has no limit; for `"position"` also `beyond`, the largest distance beyond a
-        limit [rad or m], and its `unit`. `"worst"` is the largest ratio of all, `"passed"` tells whether any limit was
-        passed, and `"told"` all this in words.
+        limit [rad or m], and its `unit`. `"worst"` is the largest ratio of all, `"passed"` is whether any limit was
+        passed, and `"message"` is all this in words.
     """
     if not limits or not len(q):
-        return {"worst": math.nan, "passed": False, "told": ""}
+        return {"worst": math.nan, "passed": False, "message": ""}
     lower, upper = (np.array(limits[name], dtype=float) for name in ("lower", "upper"))
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
     beyond = np.fmax.reduce(np.fmax(np.fmax(lower - q, q - upper), 0.0), axis=0)
@@ -77,11 +77,11 @@ def use_of_limits(
     over |= {name: found[name]["ratio"] > 1.0 + RATIO_PASSED for name in ("velocity", "torque")}
     passed = ", ".join(f"{name} {words[name]}" for name in ratios if over[name])
     kept = ", ".join(f"{name} {found[name]['ratio']:.0%}" for name in ratios if not math.isnan(found[name]["ratio"]))
-    told = f"passed: {passed}" if passed else f"kept: {kept}" if kept else "the robot has none"
+    message = f"passed: {passed}" if passed else f"kept: {kept}" if kept else "the robot has none"
     return found | {
         "worst": float(np.fmax.reduce([found[name]["ratio"] for name in ratios])),
         "passed": bool(passed),
-        "told": told,
+        "message": message,
     }
 
 

@@ -171,7 +171,7 @@ class SetPoint(Trajectory):
         course = self._ruckig.Trajectory(m)
         result = self._planner.calculate(given, course)
         if result.value < 0:
-            raise InputError(f"no motion within the bounds was found for this order: Ruckig says {result.name}")
+            raise InputError(f"no motion within the bounds was found for this order; Ruckig's result is {result.name}")
         self._motions = [*self._motions[-1:], _Motion(t, now.z, course)]
         self._ends = ends
         return float(t + course.duration)

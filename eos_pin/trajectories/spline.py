@@ -223,8 +223,8 @@ def rotation_spline(
     if shortest.min() < SHORT:
         k = int(shortest.argmin())
         raise InputError(
-            f"the rotations at {times[k]:g} s and {times[k + 1]:g} s and those around them are too far apart to say "
-            "how to turn from one to the next; put others between them"
+            f"the rotations at {times[k]:g} s and {times[k + 1]:g} s and those around them are too far apart to "
+            "determine the turn from one to the next; put others between them"
         )
     return RotationSpline(curve, float(times[0]), float(times[-1]), closed)
 

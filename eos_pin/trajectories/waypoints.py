@@ -305,11 +305,11 @@ def _from_angles(angles: Float[Array, "K 3"], name: str, lines: Sequence[int]) -
 def _check_angles(angles: Float[Array, "K k"], name: str, lines: Sequence[int]) -> None:
     largest = np.abs(angles).max(axis=1)
     wrong = largest > MOST_ANGLE
-    told = f"an angle of {largest[wrong.argmax()]:g} rad is beyond two turns; if it is in degrees, divide by 57.29578"
-    _refuse(wrong, name, lines, told)
+    reason = f"an angle of {largest[wrong.argmax()]:g} rad is beyond two turns; if it is in degrees, divide by 57.29578"
+    _refuse(wrong, name, lines, reason)
 
 
-def _refuse(wrong: Bool[Array, " K"], name: str, lines: Sequence[int], told: str) -> None:
+def _refuse(wrong: Bool[Array, " K"], name: str, lines: Sequence[int], reason: str) -> None:
     """Raise an error that names the first wrong row, if there is one."""
     for k in np.flatnonzero(wrong)[:1]:
-        raise InputError(f"{name}, line {lines[k]}: {told}" if lines else f"{name}: {told}")
+        raise InputError(f"{name}, line {lines[k]}: {reason}" if lines else f"{name}: {reason}")

@@ -109,7 +109,7 @@ def scene_of(result: Result, robot: Robot, obstacles: Sequence[Obstacle] = (), *
     drift = summary["joint_drift_per_cycle"]
     caption += f", joint drift per cycle {drift[-1]:.3g}" if drift else ""
     used = summary["limits"]
-    caption += f"; limits {used['told']}" if math.isfinite(used["worst"]) else ""
+    caption += f"; limits {used['message']}" if math.isfinite(used["worst"]) else ""
     traces = {"actual": frame} if frame else {}
     return Scene(robot, paths, traces, tuple(obstacles), title or f"{robot.name}: {kind}", caption)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import checks
 import numpy as np
 import pytest
+from checks import READY as REST
 from checks import exact, numbers, random_state, task_and_eight, tip
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -26,7 +27,6 @@ from eos_pin import (
 )
 from eos_pin.control.operational import BASELINES
 
-REST = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
 #: Variants whose task acceleration is exactly what is asked for.
 FAITHFUL = ("task-space", "task-space-energy", "null-space-damping", "null-space-posture")
 

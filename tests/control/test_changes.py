@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from checks import REST
 
 from eos_pin import (
     Atlas,
@@ -39,7 +40,6 @@ from eos_pin import (
 from eos_pin.control.operational import BASELINES
 from eos_pin.experiments.options import RunOptions
 
-REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 STATE = REST + 0.02, np.array([0.1, -0.2, 0.05, 0.1, 0.0, -0.1, 0.2])
 TIP = "panda_hand_tcp"
 AHEAD = np.array([0.1, 0.0, 0.0])

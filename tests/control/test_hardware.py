@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from checks import REST
 
 from eos_pin import ControlLoop, EosController, InputError, KinematicLoop, PositionTask, Robot, circle
 from eos_pin.control.hardware import franka
@@ -31,7 +32,6 @@ from eos_pin.trajectories.pace import Clock, PacedPath
 
 # In real time, which the first checks of types would take.
 pytestmark = pytest.mark.usefixtures("unchecked")
-REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 
 
 @pytest.fixture(autouse=True)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from checks import REST
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -38,7 +39,6 @@ from eos_pin.control.rivals.projected import ProjectedImpedance
 from eos_pin.experiments.options import ControlOptions
 
 TIP = "panda_hand_tcp"
-REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 TASKS = {"position": PositionTask, "orientation": OrientationTask, "pose": PoseTask}
 PERIOD = 1e-3
 pytestmark = pytest.mark.usefixtures("unchecked")

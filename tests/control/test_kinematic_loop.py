@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from checks import REST
 
 from eos_pin import (
     Damp,
@@ -27,7 +28,6 @@ from eos_pin import (
 from eos_pin.control._sampled_law import decay
 from eos_pin.control._velocity_box import VelocityBox
 
-REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 TURNED = REST + 0.6 * np.eye(7)[2]
 HAND = "panda_hand_tcp"
 

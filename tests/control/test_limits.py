@@ -8,7 +8,7 @@ import pickle
 import daqp
 import numpy as np
 import pytest
-from checks import compiled_only, with_plain_limits
+from checks import REST, compiled_only, with_plain_limits
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -36,7 +36,6 @@ from eos_pin.control._smallest_change import (
 )
 from eos_pin.control.limited import guaranteed_deceleration
 
-REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 TCP = "panda_hand_tcp"
 PERIOD = 1e-3
 

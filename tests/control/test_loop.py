@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from checks import REST
 
 from eos_pin import ControlLoop, EosController, Hold, InputError, OpenLoop, PositionTask, Robot, StateError
 
-REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 STILL = np.zeros(7)
 
 

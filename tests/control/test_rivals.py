@@ -6,6 +6,7 @@ import checks
 import numpy as np
 import pytest
 from checks import DIFFERENCED, STEP, random_state, tip
+from checks import READY as REST
 
 from eos_pin import (
     EosController,
@@ -36,7 +37,6 @@ from eos_pin.control.rivals.resolved import (
 from eos_pin.control.rivals.sliding import SlidingModeController
 from eos_pin.robot.regressor import parameter_bounds, passive_regressor, passive_torque
 
-REST = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
 CASES = [("panda", 1), ("panda", 2), ("chain", 3)]
 #: Gains that are not the usual ones, so that a mix-up shows.
 GAINS = {"kp": 70.0, "kd": 11.0, "kp_posture": 40.0, "kd_posture": 9.0}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from checks import with_plain_limits
+from checks import REST, with_plain_limits
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
@@ -23,7 +23,6 @@ from eos_pin import (
 )
 from eos_pin.control._smallest_change import FADE, SmallestChange
 
-REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 PERIOD = 1e-3
 
 

@@ -405,7 +405,7 @@ WRONG = {
         "links c, d form a closed loop",
     ),
     "two roots": (arm(links='<link name="a"/><link name="b"/><link name="c"/>'), "2 roots, a, c"),
-    "unknown type": (arm(joint(kind="hinge")), "type 'hinge'; a URDF knows revolute"),
+    "unknown type": (arm(joint(kind="hinge")), "type 'hinge'; a URDF has revolute"),
     "no type": (arm(joint(kind="")), "type ''"),
     "floating": (arm(joint(kind="floating")), "line 3: joint 'j' is floating"),
     "no limit": (arm(joint(inner="")), "no <limit>"),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from checks import READY as REST
 from checks import random_state, tip
 
 from eos_pin import (
@@ -25,8 +26,6 @@ from eos_pin import (
     simulate_sampled,
 )
 from eos_pin.control.operational import BASELINES
-
-REST = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from checks import READY as REST
 from checks import tip
 
 from eos_pin import EosController, PositionTask, SensorNoise, Track, figure_eight, simulate_sampled
 
-REST = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
 #: Gains that a robot of 1 kHz bears with these delays.
 GAINS = {"kp": 400.0, "kd": 40.0}
 

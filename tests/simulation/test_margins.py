@@ -42,17 +42,17 @@ def test_ratios_are_those_to_the_middle_of_the_range_and_to_the_largest_value():
     np.testing.assert_allclose(list(found["torque"]["per_joint"].values()), [0.5, np.nan, 0.3])
     assert (found["position"]["joint"], found["velocity"]["joint"], found["torque"]["joint"]) == ("a", "b", "a")
     assert (found["worst"], found["passed"], found["position"]["beyond"]) == (0.75, False, 0.0)
-    assert found["told"] == "kept: position 75%, velocity 75%, torque 50%"
+    assert found["message"] == "kept: position 75%, velocity 75%, torque 50%"
 
 
 def test_limits_that_are_passed_are_reported_with_joint_and_size():
     found = use_of_limits(bounds(), Q + np.array([2.2, 0.0, 0.0]), 2.0 * DQ, TAU)
     assert found["passed"]
-    assert found["told"] == "passed: position by 0.2 rad (a), velocity 1.5 times (b)"
+    assert found["message"] == "passed: position by 0.2 rad (a), velocity 1.5 times (b)"
     assert found["position"]["beyond"] == pytest.approx(0.2)
     assert found["worst"] == pytest.approx(1.5)
     found = use_of_limits(bounds(), Q + np.array([0.0, 0.0, 0.7]), DQ, 3.0 * TAU)
-    assert found["told"] == "passed: position by 0.6 m (c), torque 1.5 times (a)"
+    assert found["message"] == "passed: position by 0.6 m (c), torque 1.5 times (a)"
 
 
 def test_limits_that_a_robot_lacks_are_none_moving_or_not(panda):
@@ -78,7 +78,7 @@ def test_robot_without_limits_and_a_run_without_samples_have_no_ratios():
     nothing = [None] * 3
     found = use_of_limits(bounds(lower=nothing, upper=nothing, velocity=nothing, torque=nothing), Q, DQ, TAU)
     assert math.isnan(found["worst"])
-    assert (found["passed"], found["told"]) == (False, "the robot has none")
+    assert (found["passed"], found["message"]) == (False, "the robot has none")
     assert not use_of_limits({}, Q, DQ, TAU)["passed"]
     assert not use_of_limits(bounds(), Q[:0], DQ[:0], TAU[:0])["passed"]
 
@@ -99,11 +99,11 @@ def still(panda) -> Result:
 
 def test_run_has_its_ratios_in_summary_table_caption_and_file(panda, still, tmp_path):
     assert still.limits["torque"]["ratio"] == pytest.approx((np.abs(still.tau) / panda.effort).max())
-    assert still.summary()["limits"]["told"].startswith("kept: position ")
+    assert still.summary()["limits"]["message"].startswith("kept: position ")
     run = Result.load(pressed(still, panda).save(tmp_path / "run.npz"))
     told = "passed: position by 0.3 rad (panda_joint4)"
     assert run.status == "finished"
-    assert run.summary()["limits"]["told"] == told
+    assert run.summary()["limits"]["message"] == told
     assert run.summary()["limit_ratio_max"] > 1.0
     with console.capture() as capture:
         console.print(run_table(run.summary()))

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from checks import READY as REST
 from checks import random_chain, random_state, robot, tip
 from lxml import etree
 
@@ -36,7 +37,6 @@ from eos_pin.cli.main import main
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
-REST = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
 ROBOTS = ("panda", "kinova", "ppr", "chain", "xarm7")
 
 

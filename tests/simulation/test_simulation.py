@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from checks import INTEGRATED, integration_error, random_state, tip
+from checks import READY as REST
 
 from eos_pin import (
     Atlas,
@@ -37,8 +38,6 @@ from eos_pin import (
 )
 from eos_pin.control.operational import BASELINES
 from eos_pin.simulation.kinematic import chart_following
-
-REST = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.7])
 
 # The type checks cost more than the runs.
 pytestmark = pytest.mark.usefixtures("unchecked")

@@ -7,11 +7,11 @@ import sys
 import numpy as np
 import pinocchio as pin
 import pytest
+from checks import REST
 
 from eos_pin import InputError, KinematicLoop, MissingDependencyError, PoseTask, PositionTask, SetPoint
 from eos_pin.trajectories.set_point import rotation_rates
 
-REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 HAND = "panda_hand_tcp"
 BOUNDS = {"velocity": 0.3, "acceleration": 1.0, "jerk": 8.0}
 

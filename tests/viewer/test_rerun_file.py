@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from checks import REST
 
 from eos_pin import EosController, PositionTask, Robot, circle, simulate
 from eos_pin.cli.output import curves_of
 from eos_pin.viewer.replay import scene_of
 from eos_pin.viewer.rerun_file import write_rerun
-
-REST = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
 
 
 def test_rerun_file_has_the_robot_and_every_curve(panda: Robot, tmp_path: Path) -> None:

@@ -175,8 +175,8 @@ def sweep(
     rows = _watched(planned, kept.out / "finished", jobs)
     over = [name for name, values in axes.items() if len(values) > 1 and name != "seed"]
     console.print(grid(f"{len(rows)} runs", *_overview(rows, over)))
-    told = Counter(row["message"] for row in rows if row["status"] != "finished")
-    for message, times in told.most_common(5):
+    failures = Counter(row["message"] for row in rows if row["status"] != "finished")
+    for message, times in failures.most_common(5):
         console.print(f"{times} {'run' if times == 1 else 'runs'}: {message}", markup=False)
     written = [sweeps.write_table(rows, kept.table or kept.out / "runs.csv")]
     if any(row["status"] == "finished" for row in rows):
@@ -184,7 +184,7 @@ def sweep(
     if kept.json is not None:
         written.append(write_json(kept.json, {"runs": rows}))
     print_files(written)
-    return 1 if told else 0
+    return 1 if failures else 0
 
 
 def _watched(planned: list[Trial], folder: Path, jobs: int) -> list[Row]:

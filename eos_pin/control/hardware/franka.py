@@ -50,7 +50,7 @@ class FrankaConnection(Connection):
     def open(self) -> None:
         library = self._library
         config = library.RealtimeConfig.kEnforce if self._real_time else library.RealtimeConfig.kIgnore
-        with self._told():
+        with self._own_errors():
             self._robot = library.Robot(self._address, config)
             self._robot.automatic_error_recovery()
             if self.command == "torque":
@@ -62,7 +62,7 @@ class FrankaConnection(Connection):
         self._t = 0.0
 
     def read(self) -> Sample:
-        with self._told():
+        with self._own_errors():
             state, passed = self._exchange.readOnce()
         self._t += passed.to_sec()
         # Where it is commanded to be, for a last command that moves nothing.
@@ -87,13 +87,13 @@ class FrankaConnection(Connection):
     def _send(self, values: list[float], *, last: bool) -> None:
         library = self._library
         kind = {"torque": library.Torques, "velocity": library.JointVelocities, "position": library.JointPositions}
-        with self._told():
+        with self._own_errors():
             message = kind[self.command](values)
             message.motion_finished = last
             self._exchange.writeOnce(message)
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _own_errors(self) -> Iterator[None]:
         """Turn errors of the robot into `HardwareError`."""
         try:
             yield

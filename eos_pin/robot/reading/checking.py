@@ -194,7 +194,7 @@ class Checker:
     def _joint(self, element: etree._Element, links: Mapping[str, etree._Element]) -> UrdfJoint:
         name, kind = element.get("name"), element.get("type")
         if kind not in KINDS:
-            raise self.fail(element, f"joint {name!r} has type {kind!r}; a URDF knows {', '.join(KINDS)}")
+            raise self.fail(element, f"joint {name!r} has type {kind!r}; a URDF has {', '.join(KINDS)}")
         parent, child = (self._end(element, tag, links) for tag in ("parent", "child"))
         self.origin(element)
         axis = element.find("axis")
