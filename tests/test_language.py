@@ -9,7 +9,8 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent.parent / "eos_pin"
 #: First sentences are noun phrases or imperatives: no clause in place of a noun, and nothing speaks, wants or knows.
 RIDDLES = re.compile(
-    r"\b([Ww]hat(ever)?|say|says|said|tells?|told|wants?|believed?s?|vouch\w*|knows?|feels?|worth|[Ww]hoever|nobody)\b"
+    r"^(How|Who|Why|When|Where|Which)\b|\b(how|who|[Ww]hoever|[Ww]hat(ever)?|"
+    r"say|says|said|tells?|told|wants?|believed?s?|vouch\w*|knows?|feels?|worth|nobody)\b"
 )
 RIDDLES_OF_NAMES = re.compile(r"_(what(ever)?|says?|said|tells?|told|wants?|knows?|nobody)(_|$)")
 

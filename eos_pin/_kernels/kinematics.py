@@ -100,7 +100,7 @@ class Kinematics:
 
     @cached_property
     def revolute(self) -> Bool[Array, " n"]:
-        """Which joints turn."""
+        """Mask of the joints that turn."""
         return np.array([joint.kind != "prismatic" for joint in self.task.robot.joints])
 
     @property
@@ -257,7 +257,7 @@ class Kinematics:
         return Curve(Q, T, ends, winding)
 
     def tangents(self, Q: Array, z: Array) -> tuple[Float[Array, "K n"], Float[Array, " K"]]:
-        """Unit vectors of the self-motion at states, and how regular each is, 0 at a singularity; see `trace`."""
+        """Unit vectors of the self-motion at states, and the regularity of each, 0 at a singularity; see `trace`."""
         self._one_redundant()
         return self._tracing.tangents(self._chain, self._states(Q), self._one(z))
 
@@ -292,7 +292,7 @@ class Kinematics:
 
     @cached_property
     def _revolute(self) -> Array:
-        """Which joints turn, as the kernels take it."""
+        """Mask of the joints that turn, as the kernels take it."""
         return self.revolute.astype(np.uint8) if self.compiled else self.revolute
 
     @property

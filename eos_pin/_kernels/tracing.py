@@ -41,7 +41,7 @@ class Curve(NamedTuple):
 
 
 def tangents(chain: PlainChain, Q: Float[Array, "K n"], z: Vector) -> tuple[Float[Array, "K n"], Float[Array, " K"]]:
-    """Unit vectors of the self-motion, and how regular each state is, 0 at a singularity."""
+    """Unit vectors of the self-motion, and the regularity of each state, 0 at a singularity."""
     looks = [_look(chain, q, z) for q in Q]
     return np.reshape([look[2] for look in looks], Q.shape), np.array([look[3] for look in looks])
 
@@ -148,7 +148,7 @@ def nearest(
 
 
 def _look(chain: PlainChain, q: JointVector, z: Vector) -> tuple[float, JointVector, JointVector, float]:
-    """Task error, the shortest step that removes it, the unit vector of the self-motion, and how regular q is."""
+    """Task error, the shortest step that removes it, the unit vector of the self-motion, and the regularity of q."""
     z_q, J = chain.task._linearize(q)
     error = chain.task._minus(z, z_q)
     basis, R = np.linalg.qr(J.T, mode="complete")

@@ -87,7 +87,7 @@ class Directions(Checked):
 
     @checked
     def room(self, q: JointVector) -> float:
-        """How much further a continuous joint may turn before the chart ends [rad]; infinite without such joints."""
+        """Angle that a continuous joint may still turn before the chart ends [rad]; infinite without such joints."""
         if not self.task.robot.turns:
             return math.inf
         far = np.abs(self._unwrap(q) - self.q_bar)
@@ -152,7 +152,7 @@ class Directions(Checked):
 
     @checked
     def margin(self, J: Jacobian, *, enough: float = math.inf) -> float:
-        """How far a configuration with Jacobian J is from the edge of the chart: 1 at the base point, 0 on the edge.
+        """Distance of a configuration with Jacobian J from the edge of the chart: 1 at the base point, 0 on the edge.
 
         Cosine, in the metric A, of the largest principal angle between the null spaces of J and of G'(q_bar); for A = I
         that of their row spaces. G'U is singular, and H does not exist, exactly where it is zero while J has full rank.

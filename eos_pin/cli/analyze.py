@@ -33,7 +33,7 @@ def analyze(
     Args:
         log: Table (.csv) with a column t [s] and one for each joint by its name [rad or m]; q_NAME and dq_NAME, the
             columns of `eos-pin track --csv` and of `rehearse --log`, will do. Or the folder of a bag of ROS 2.
-        robot: Which robot moved.
+        robot: The robot that moved.
         task: Task whose motion counts.
         output: Results to keep.
         period: Time of one round [s]; by default it is found.

@@ -17,7 +17,7 @@ def explore(robot: RobotOptions, task: TaskOptions = TaskOptions(), html: Path |
     works offline, computes by itself, and can be sent to others.
 
     Args:
-        robot: Which robot.
+        robot: The robot.
         task: Task of the robot: position, pose, orientation or heading.
         html: File to write instead of opening the browser.
 

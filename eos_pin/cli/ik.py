@@ -49,7 +49,7 @@ def ik(
     searched for; the strategy that succeeded is printed.
 
     Args:
-        robot: Which robot.
+        robot: The robot.
         task: Task of the robot; at q0 v is 0 and the search starts.
         output: Results to keep.
         to: Task point; by default that at q0. As many numbers as the task has axes, such as x y z [m]; for a pose x y z

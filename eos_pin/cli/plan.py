@@ -45,7 +45,7 @@ FIGURES = (
 
 @dataclass(frozen=True)
 class PlanPath:
-    """Where the task should go.
+    """Path of the task.
 
     Attributes:
         path: Figure eight, circle, line, or a file of way points whose first row names its columns: x, y, z [m]; qw,
@@ -223,9 +223,9 @@ def plan(
     --html, --plot or --out say.
 
     Args:
-        robot: Which robot.
+        robot: The robot.
         task: Task of the robot.
-        path: Where the task should go.
+        path: Path of the task.
         within: Obstacles and files to keep.
         time: The time of the motion.
         output: Results to keep.
@@ -293,7 +293,7 @@ def plan(
 
 
 def _refused(error: PlanError, files: Output, closed: bool) -> int:
-    """Tell why there is no plan, on the terminal and in the JSON."""
+    """Report the reason of a refusal, on the terminal and in the JSON."""
     status = "interrupted" if error.stopped else "refused"
     stderr.print(f"[bold]{status}:[/] ", end="")
     stderr.print(str(error), markup=False, soft_wrap=True)

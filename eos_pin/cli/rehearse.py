@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RealTime:
-    """How the loop runs.
+    """Options of the loop.
 
     Attributes:
         control_rate: Periods per second [Hz].
@@ -57,10 +57,10 @@ def rehearse(
     stop, a watchdog, and a log that outlives the process. Ctrl-C is a graceful stop, twice is an emergency stop.
 
     Args:
-        robot: Which robot.
+        robot: The robot.
         task: Task of the robot.
-        path: Where it should go.
-        control: How it is controlled.
+        path: Path of the task.
+        control: Controller and its gains.
         loop: How the loop runs.
 
     For example:

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 def selfmotion(
     robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output = Output(), at: tuple[float, ...] = ()
 ) -> int:
-    """Find where gravity leaves the self-motion at rest while the task is held, and how it moves from there.
+    """Find equilibria of the self-motion under gravity while the task is held, their frequencies, and ways between.
 
     The task is held by forces on the task alone, and the joints are otherwise free. With one redundant joint all
     equilibria are found; with more those that searches from many postures end at.
 
     Args:
-        robot: Which robot.
+        robot: The robot.
         task: Task of the robot.
         output: Results to keep.
         at: Task point; by default that at q0. As many numbers as `eos-pin ik --to` takes.

@@ -56,7 +56,7 @@ def fitted(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], wi
 
 
 def folded(text: str, width: int) -> str:
-    """Text in lines of a width, broken after blanks and joints of a name such as `_`, and elsewhere only if it must."""
+    """Text in lines of a width, broken after blanks and signs such as `_`, elsewhere only if there is no other way."""
     lines, line = [], ""
     for piece in re.findall(r"[^\s_/.:-]*[\s_/.:-]?", text):
         if cell_len((line + piece).rstrip()) > width and line:

@@ -22,7 +22,7 @@ def spell(text: str) -> str:
 
 
 def shown(text: str, encoding: str) -> str:
-    """The text as a stream of an encoding shows it; its length is that on the screen."""
+    """The text with letters that an encoding lacks spelled out; its length is that on the screen."""
     try:
         return text.encode(encoding, SPELLED).decode(encoding)
     except (LookupError, UnicodeError):
@@ -30,7 +30,7 @@ def shown(text: str, encoding: str) -> str:
 
 
 def spell_output() -> None:
-    """Make standard output and error spell letters that their encoding lacks, where the streams can change."""
+    """Spell letters that the encodings of standard output and error lack, if these streams can be changed."""
     for stream in (sys.stdout, sys.stderr):
         if (reconfigure := getattr(stream, "reconfigure", None)) is not None:
             reconfigure(errors=SPELLED)

@@ -53,11 +53,11 @@ def track(
     Files go to runs/ROBOT-TASK unless --out is given: run.npz, summary.json, replay.html, overview.png.
 
     Args:
-        robot: Which robot.
+        robot: The robot.
         task: Task of the robot.
-        path: Where it should go.
-        control: How it is controlled.
-        simulation: How it is simulated.
+        path: Path of the task.
+        control: Controller and its gains.
+        simulation: Simulation of the run.
         output: Results to keep.
         plan: Plan to follow (.npz), made by `eos-pin plan` for this robot; it has its own task and path.
         scene: File of solids to show in the replay, as `eos-pin plan` has it; the robot does not avoid them by itself.
@@ -132,10 +132,10 @@ def compare(
     """Compare EOS control with traditional controllers on the same robot and path: a table and a figure.
 
     Args:
-        robot: Which robot.
+        robot: The robot.
         task: Task of the robot.
-        path: Where it should go.
-        simulation: How it is simulated.
+        path: Path of the task.
+        simulation: Simulation of the run.
         output: Results to keep.
         controllers: Which controllers; in the replay the first is solid and the others are ghosts.
         metric: Metric of the charts of those that have any.

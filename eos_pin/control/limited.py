@@ -203,7 +203,7 @@ class JointLimits:
     def passed(
         self, robot: Robot, t: Vector, q: Float[Array, "T n"], dq: Float[Array, "T n"], tau: Float[Array, "T n"]
     ) -> str:
-        """Limits of position and velocity that were passed in a run, by how much, and why; empty where none was.
+        """Limits of position and velocity that were passed in a run, with excess and reason; empty where none was.
 
         Args:
             robot: The robot of the controller's model.

@@ -1,4 +1,4 @@
-"""Which options apply with which others: one that would change nothing is refused, with the reason."""
+"""Options that apply only with others: one that would change nothing is refused, with the reason."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Settings: TypeAlias = Mapping[str, Any]
 
 
 class Rule(NamedTuple):
-    """When some options apply.
+    """Condition under which some options apply.
 
     Attributes:
         names: Names of the options.

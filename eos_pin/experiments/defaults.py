@@ -318,7 +318,7 @@ def _choices(robot: Robot, i: int) -> Sequence[float]:
 
 
 def _merit(task: Task, q: JointVector, floor: float) -> float:
-    """How good a posture is to start from, with no joint below the floor [m]."""
+    """Merit of a posture as a start, with no joint below the floor [m]."""
     robot = task.robot
     sigma = _sigma(task, q)
     # Far enough from singular is enough: nobody gains from the last bit.
@@ -345,7 +345,7 @@ def _heights(robot: Robot, q: JointVector) -> Array:
 
 
 def _fits(task: Task, q: JointVector, path: Trajectory) -> tuple[float, str]:
-    """Factor by which the path must be slowed down, and why it does not fit, empty if it does."""
+    """Factor by which the path must be slowed down, and the reason if it does not fit, empty if it does."""
     robot = task.robot
     times = path.period * np.arange(TRIALS + 1) / TRIALS
     found = Atlas(task, threshold=ROOM).follow(q, np.array([path(t).z for t in times]), tol=1e-8)

@@ -43,7 +43,7 @@ ControllerName = Literal[
 @checked
 @dataclass(frozen=True)
 class RobotOptions:
-    """Which robot.
+    """The robot.
 
     Attributes:
         robot: Name (see `eos-pin robots`) or path of a URDF file.
@@ -84,7 +84,7 @@ class RobotOptions:
 @checked
 @dataclass(frozen=True)
 class PathOptions:
-    """Where it should go.
+    """Path of the task.
 
     Attributes:
         path: Figure eight, circle, line, hold, or a CSV file whose first row names its columns: t [s]; x, y, z [m]; qw,
@@ -140,7 +140,7 @@ class PathOptions:
 @checked
 @dataclass(frozen=True)
 class ControlOptions:
-    """How it is controlled.
+    """Controller and its gains.
 
     Attributes:
         controller: EOS computed torque, the same within joint and torque limits (sampled runs), impedance of task and
@@ -256,7 +256,7 @@ class ControlOptions:
 @checked
 @dataclass(frozen=True)
 class RunOptions:
-    """How it is simulated.
+    """Simulation of the run.
 
     Attributes:
         plant: Simulator: our own equations of motion, or MuJoCo (pip install 'eos-pin[mujoco]'), which runs

@@ -224,7 +224,7 @@ def _drift(run: Result, *, since: int = 0, smallest: bool = False) -> float:
 
 
 def _moved(run: Result) -> float:
-    """How far a joint is from where it was at the start, after the last complete cycle."""
+    """Distance of a joint from its start, after the last complete cycle."""
     return _largest(run.q[run.cycle_rows[-1]] - run.q[0])
 
 

@@ -64,7 +64,7 @@ class Application:
 
     @cached_property
     def times(self) -> Float[Array, " T"]:
-        """When the points of the path are visited [s]."""
+        """Times at which the points of the path are visited [s]."""
         period = self.path.period
         return frozen_copy(period * np.arange(round(self.cycles * period * self.rate) + 1) / round(period * self.rate))
 

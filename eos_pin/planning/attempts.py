@@ -38,7 +38,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Attempt:
-    """How finely one attempt searches.
+    """Fineness of one attempt of a search.
 
     Attributes:
         stride: Every how many points of the path there is a layer.

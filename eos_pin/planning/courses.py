@@ -96,7 +96,7 @@ class Penalty(Barrier):
         self.share = share
 
     def _broken(self, q: Array) -> tuple[Array, Array, Array | None]:
-        """How far joints are beyond their limits, negative below, and distances below the least, in parts of `NEAR`."""
+        """Excess of joints over their limits, negative below, and lack of distances, in parts of `NEAR`."""
         problem = self.course.problem
         room = np.minimum(ROOM, 0.1 * (problem.upper - problem.lower))
         beyond = np.maximum(q - (problem.upper - room), 0.0) - np.maximum(problem.lower + room - q, 0.0)

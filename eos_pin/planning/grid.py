@@ -62,13 +62,13 @@ class Grid:
 
     @property
     def stride(self) -> int:
-        """Every how many points a first search has a layer."""
+        """Number of points from one layer of a first search to the next."""
         gaps = _gaps(self.task, self.Z, self.closed)
         stride = COARSE / max(float(np.median(gaps)), COARSE / len(self.Z))
         return max(1, min(int(stride), len(self.Z) // 16))
 
     def rows(self, stride: int) -> Int[Array, " l"]:
-        """Every so many points, and the last of an open path."""
+        """Every `stride`-th point, and the last of an open path."""
         last = len(self.Z) - (0 if self.closed else 1)
         count = max(1, math.ceil(last / stride))
         rows = np.unique(np.round(np.linspace(0, last, count + 1)).astype(int))
@@ -103,7 +103,7 @@ class Grid:
         return np.minimum(bound, 2.0 * np.pi) if np.isfinite(bound).any() else None
 
     def _parts(self) -> Array:
-        """Into how many points the way from each point's way point to the next is divided."""
+        """Number of points on the way from each point's way point to the next."""
         if not len(self.marks):
             return np.ones(len(self.Z))
         ends = np.append(self.marks[1:], len(self.Z)) if self.closed else self.marks[1:]

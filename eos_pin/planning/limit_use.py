@@ -116,7 +116,7 @@ class LimitUse:
 
     @property
     def message(self) -> str:
-        """The limits that are exceeded, by how much and where; empty where all are kept."""
+        """The limits that are exceeded, with excess and place; empty where all are kept."""
         return "; ".join(
             f"the {what} of {use.joint!r} is {use.ratio:.4g} times its limit at {use.t:.4g} s"
             for what, use in self._uses.items()

@@ -97,7 +97,7 @@ def _velocity(plan: Plan) -> float | None:
 
 
 def switches(task: Task, q: Float[Array, "K n"], threshold: float = 0.5) -> int:
-    """How many times a controller on this path changes charts at a threshold of the margin."""
+    """Number of chart changes of a controller on this path at a threshold of the margin."""
     _, J = task.kinematics.linearize(q)
     Q = np.linalg.qr(J.transpose(0, 2, 1))[0]
     base, count = 0, 0

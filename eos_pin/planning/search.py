@@ -37,7 +37,7 @@ _HASH = np.random.default_rng(1).integers(1, 2**62, 256) | 1
 
 @dataclass
 class Failure:
-    """Where a search ended before the end of the path.
+    """Place at which a search ended before the end of the path.
 
     Attributes:
         layer: Last layer that was reached.
@@ -193,7 +193,7 @@ class Layers:
         return [self.goal[:, None][:, :0]] * missing + turned.nodes[::-1]
 
     def _continued(self, Q: Array, following: int) -> tuple[Array, Array]:
-        """Where postures lead at the next layer by the shortest motion, NaN where nowhere."""
+        """Postures of the next layer to which the shortest motions lead, NaN where there is none."""
         there, found = self.problem.manifold.project(Q, self.Z[following][:, None])
         # A long way for a short step of the task is a jump to another branch.
         found &= (np.abs(there - Q) / self.problem.scale[:, None]).max(axis=0) < 1.0

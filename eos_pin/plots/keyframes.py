@@ -130,7 +130,7 @@ def _links(robot: Robot) -> list[tuple[str, str, bool]]:
 
 
 def _points(robot: Robot, qs: Float[Array, "K n"]) -> dict[str, Float[Array, "K 3"]]:
-    """Where the ends of all links are, in each of the configurations."""
+    """Places of the ends of all links, in each of the configurations."""
     names = dict.fromkeys(name for start, end, _ in _links(robot) for name in (start, end))
     return {name: _path_of(robot, name, qs) for name in names}
 

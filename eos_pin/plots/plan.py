@@ -121,7 +121,7 @@ def _apart(robot: Robot, Q: Float[Array, "K n"], q: JointVector) -> Float[Array,
 
 
 def _kinds(plan: Plan, Q: Float[Array, "K n"], clearances: Clearances | None) -> Int[Array, " K"]:
-    """Which of `KINDS` each posture is."""
+    """Index in `KINDS` of each posture."""
     robot = plan.robot
     turns = np.array([joint.kind != "prismatic" for joint in robot.joints]) & np.isfinite(robot.lower)
     least = np.where(np.isfinite(robot.lower), robot.lower, 0.0)

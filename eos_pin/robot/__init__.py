@@ -1,4 +1,4 @@
-"""Robots: checked models, their dynamics, and how they are loaded."""
+"""Robots: checked models, their dynamics, and their files."""
 
 import lazy_loader
 

@@ -34,7 +34,7 @@ class Angles(Checked):
 
     @cached_property
     def continuous(self) -> Bool[Array, " n"]:
-        """Which joints turn without end, so that angles a whole turn apart are the same place."""
+        """Mask of the joints that turn without end, for which angles a whole turn apart are the same place."""
         own = self.coordinates
         # A screw without limits moves on with each turn.
         turning = [self.model.joints[int(i)].shortname().startswith("JointModelR") for i in own.joints]

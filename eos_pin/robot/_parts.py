@@ -73,7 +73,7 @@ def reach_of(model: pin.Model, end: str = "") -> float:
 
 
 def listed(names: list[str], most: int = 8) -> str:
-    """The first names, and how many more there are."""
+    """The first names, and the number of the others."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 

@@ -48,7 +48,7 @@ Lock: TypeAlias = str | Sequence[str] | Mapping[str, float | None]
 @checked
 @dataclass(frozen=True, eq=False)
 class Tool:
-    """A frame to add: where the tool touches the world.
+    """A frame to add, at the place where the tool touches the world.
 
     Attributes:
         frame: Frame of the robot that carries it.
@@ -300,7 +300,7 @@ def _locked(urdf: Urdf, lock: Lock, frame: str) -> dict[str, float]:
 
 
 def _position(urdf: Urdf, name: str, value: float | None) -> float:
-    """Where a joint is locked: at `value`, or as near to 0 as it can be."""
+    """Position at which a joint is locked: `value`, or as near to 0 as it can be."""
     if name not in urdf.moving:
         raise UnknownNameError("joint that moves", name, urdf.moving)
     joint = urdf.joints[name]

@@ -182,7 +182,7 @@ class Robot(Angles):
 
     @cached_property
     def reach(self) -> float:
-        """Length from joint to joint to the last frame [m]: an upper bound for how far it gets; 1 without extent."""
+        """Length from joint to joint to the last frame [m], a bound of its distance from the base; 1 without extent."""
         return reach_of(self.model, str(self.options.get("chain_to", ""))) or 1.0
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Equations of motion as a product of inertial parameters, and how far parameters are off where bodies are."""
+"""Equations of motion as a product of inertial parameters, and bounds of their errors."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def passive_torque(robot: Robot, q: JointVector, dq: JointVector, dq_r: JointVec
 
 
 def parameter_bounds(robot: Robot, error: float) -> Float[Array, " p"]:
-    """How far each inertial parameter may be off, where masses, centres and inertias are off by up to `error`.
+    """Largest error of each inertial parameter, where masses, centres and inertias are off by up to `error`.
 
     The errors are those of `Robot.perturbed`: of each link's mass, of each coordinate of its centre of mass and of each
     second moment about its principal axes. A body has ten parameters: its mass, mass times centre (3), and the second

@@ -1,4 +1,4 @@
-"""How much of its limits a robot used in a run: ratios to the limits of position, velocity and torque."""
+"""Use of limits in a run: ratios to the limits of position, velocity and torque."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ TASK_DEFICIT = 1e-6
 @by_value
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A run: its samples over time, how it ended, and where it came from.
+    """A run: its samples over time, its end, and its origin.
 
     Where a controller has no task or no charts, the columns that would describe them are empty (size 0) or NaN.
 
@@ -186,12 +186,12 @@ class Result:
 
     @property
     def deficit_seconds(self) -> float:
-        """How long part of the task was given up [s]."""
+        """Time during which part of the task was given up [s]."""
         return self._seconds(self.deficit_rows)
 
     @property
     def singularities(self) -> dict[str, dict[str, Any]]:
-        """Singularities by kind: of the task, of a limit, and of a chart; when each was first met, and for how long.
+        """Singularities by kind: of the task, of a limit, and of a chart; the first time and the duration of each.
 
         In the first two part of the task was given up. A chart is left before it becomes singular, at no cost.
         """

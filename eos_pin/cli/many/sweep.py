@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def _commas(kind: Callable[[str], Any], name: str) -> PrimitiveConstructorSpec[tuple[Any, ...]]:
-    """How several values with commas between are read from the command line."""
+    """Reader of several values with commas between, for the command line."""
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=f"{name}[,{name}...]",

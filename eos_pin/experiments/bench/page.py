@@ -251,7 +251,7 @@ took {total / 60.0:.1f} minutes of one core; the whole bench of {whole:,} would 
 
 
 def _at_the_edge(rows: Sequence[Row]) -> str:
-    """How many searches for gains ended at the highest rate of the task that is offered."""
+    """Number of searches for gains that ended at the highest rate of the task that is offered."""
     found = {(row["robot"], row["law"]): row["task_rate"] for row in rows}
     high = sum(rate == max(TASK_RATES) for rate in found.values())
     most = max(TASK_RATES)

@@ -170,7 +170,7 @@ class _Trees:
         self.trees = [_Tree(start, MOST), _Tree(end, MOST)]
 
     def run(self) -> Passage:
-        """The motion, or how far the trees grew."""
+        """The motion, or the growth of the trees where there is none."""
         # On a manifold within the limits that is as small as a few steps the trees hardly grow.
         for i in range(MOST // 4):
             one, two = self.trees[i % 2], self.trees[1 - i % 2]
@@ -183,7 +183,7 @@ class _Trees:
         return Passage(None, self._apart())
 
     def _apart(self) -> str:
-        """How far the trees grew, and the joints that keep them apart."""
+        """Growth of the trees in words, and the joints that keep them apart."""
         one, two = (tree.q for tree in self.trees)
         words = (
             f"of {len(one)} postures reached from where the robot stands and {len(two)} from the start of the plan no "

@@ -1,4 +1,4 @@
-"""Distances between the bodies of a robot and obstacles, at rest or moving, and how they change with the joints.
+"""Distances between the bodies of a robot and obstacles, at rest or moving, and their derivatives by the joints.
 
 Bodies have the collision shapes of their links. A mesh counts as its convex hull, so that distances are never too
 large, have a slope almost everywhere, and go on to negative values where shapes overlap.
@@ -142,7 +142,7 @@ class Clearance:
 
     @checked
     def nearest(self, t: float, q: JointVector) -> ClosestPair:
-        """The closest approach of all at time t [s]."""
+        """The closest pair of a body and an obstacle at time t [s]."""
         distances = self._distances(t, q)
         return self._closest_pairs(q, [int(distances.argmin())])[0]
 
@@ -154,7 +154,7 @@ class Clearance:
 
     @checked
     def closest_pairs(self, t: float, q: JointVector, *, within: float = np.inf) -> list[ClosestPair]:
-        """The approach of each body to each obstacle, the closest first.
+        """The closest pair of each body and each obstacle, the nearest first.
 
         Args:
             t: Time [s], at which moving obstacles are where they are.

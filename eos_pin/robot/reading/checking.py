@@ -32,7 +32,7 @@ UNUSED = {"visual", "collision", "safety_controller", "calibration"}
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A `<joint>`: which links it connects, and how far it moves [rad or m]."""
+    """A `<joint>`: the links that it connects, and its range [rad or m]."""
 
     name: str
     kind: str

@@ -25,7 +25,7 @@ class Follower(NamedTuple):
 
 
 def follower(joints: Mapping[str, UrdfJoint], name: str) -> Follower:
-    """Which joint one follows in the end, where leaders may follow others themselves.
+    """Joint that one follows in the end, as leaders may follow others themselves.
 
     Raises:
         RobotError: A leader does not exist or has other than one degree of freedom, or joints follow each other.
@@ -38,7 +38,9 @@ def follower(joints: Mapping[str, UrdfJoint], name: str) -> Follower:
         if leader is None:
             raise RobotError(f"{where}, which is no joint of this file")
         if leader.name in seen:
-            raise RobotError(f"{where}, which follows it: {' -> '.join([*seen, leader.name])}")
+            raise RobotError(
+                f"{where}, which follows it in a circle; drop one of their <mimic>: {' -> '.join([*seen, leader.name])}"
+            )
         if not (leader.has_one_degree or leader.kind == "fixed"):
             raise RobotError(f"{where}, which is {leader.kind}; a joint can follow one with one degree of freedom only")
         offset += factor * joint.offset
