@@ -116,7 +116,7 @@ REFUSED = {
     "a gap": ("z1,z3\n0,1\n", "without gaps"),
     "mixed kinds": ("t,z1,x\n0,1,2\n", "stand alone or beside t"),
     "times only": ("t\n0\n", "more than the time"),
-    "names only": ("t,x\n", "nothing follows the names"),
+    "names only": ("t,x\n", "no row follows the names"),
     "nothing": ("# empty\n,,\n", "no rows of numbers"),
     "one column": ("0\n1\n", "one column only"),
     "a word": ("t,x\n0,1\n1,two\n", "line 3: every entry must be a number, got 'two' in column x"),
