@@ -13,7 +13,7 @@ from eos_pin.experiments.bench.page import page
 from eos_pin.experiments.bench.settings import SETTINGS, USUAL
 from eos_pin.experiments.bench.surface import cut_off, with_surface
 from eos_pin.experiments.bench.trial import LOST, PERIOD, BenchTrial, scene
-from eos_pin.experiments.bench.verdict import _holm, enough, verdict
+from eos_pin.experiments.bench.verdict import _holm, _signed_rank, enough, verdict
 
 
 def rows(errors, setting="exact", robots=("panda",)):
@@ -100,13 +100,12 @@ def test_verdict_counts_lost_runs_as_worst():
     assert found.standings[1].lost == 12
 
 
-def test_verdict_needs_pairs_enough_for_holm():
-    base = np.exp(np.random.default_rng(2).normal(size=40))
+def test_pairs_are_enough_where_the_test_can_reject():
     for laws in (2, 3, 20):
-        n = enough(laws)
-        table = {f"law {k}": (1.0 + k) * base for k in range(laws)}
-        shown = [verdict(rows({name: own[:m] for name, own in table.items()}), "exact").winner for m in (n, n - 1)]
-        assert shown == ["law 0", ""]
+        # All pairs agree, and by different amounts.
+        clear = [_signed_rank(np.linspace(1.0, 2.0, enough(laws) - less)) for less in (0, 1)]
+        shown = [_holm(np.full(laws - 1, p))[0] < 0.05 for p in clear]
+        assert shown == [True, False], laws
 
 
 def test_holm_adjusts_as_the_textbook_does():
