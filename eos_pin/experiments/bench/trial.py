@@ -32,7 +32,7 @@ from eos_pin.tasks.position import PositionTask
 from eos_pin.trajectories.base import Trajectory
 
 #: Period of the figure eight, length of a run, and from when on the error counts [s].
-PERIOD, DURATION, SETTLED = 1.25, 2.5, 0.75
+PERIOD, DURATION, SETTLED = 1.1, 2.2, 0.7
 #: Half width of the figure as a part of the robot's reach, and standard deviation of the joints at the start [rad].
 SIZE, OFF = 0.04, 0.02
 #: When a push begins, how long it lasts [s], and its force as a part of the robot's weight.
