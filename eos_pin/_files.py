@@ -53,6 +53,20 @@ def write_atomically(path: str | Path, write: Callable[[IO[bytes]], object]) -> 
             temporary.unlink(missing_ok=True)
 
 
+def check_writable(*paths: str | Path) -> None:
+    """Refuse files and folders that could not be written, before the work for them begins.
+
+    Raises:
+        OutputError: A part of a path is a file, or no new file may be made there.
+    """
+    for path in map(Path, paths):
+        there = next(parent for parent in (path.absolute(), *path.absolute().parents) if parent.exists())
+        if there != path.absolute() and not there.is_dir():
+            raise OutputError(f"cannot write {path}: {there} is a file, not a folder")
+        if not os.access(there, os.W_OK):
+            raise OutputError(f"cannot write {path}: {there} may not be written; choose another place")
+
+
 def write_csv(path: str | Path, names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a table with the names of its columns in the first row.
 

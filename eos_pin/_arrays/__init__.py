@@ -35,4 +35,5 @@ from eos_pin._arrays.border import Checked as Checked
 from eos_pin._arrays.border import check_answers as check_answers
 from eos_pin._arrays.border import checked as checked
 from eos_pin._arrays.border import unchecked as unchecked
+from eos_pin._arrays.values import brief as brief
 from eos_pin._arrays.values import by_value as by_value

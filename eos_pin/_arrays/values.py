@@ -1,8 +1,8 @@
-"""Equality of values that hold arrays."""
+"""Equality and short descriptions of values that hold arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
@@ -33,6 +33,27 @@ def by_value(kind: type[T]) -> type[T]:
         setattr(kind, name, method)
     _VALUES.add(kind)
     return kind
+
+
+def brief(*names: str) -> Callable[[type[T]], type[T]]:
+    """Give a class a short `repr` of some attributes; of a large array it has the shape."""
+
+    def decorate(kind: type[T]) -> type[T]:
+        def written(self: Any) -> str:
+            return f"{type(self).__name__}({', '.join(f'{name}={_brief(getattr(self, name))}' for name in names)})"
+
+        kind.__repr__ = written  # type: ignore[assignment, method-assign]
+        return kind
+
+    return decorate
+
+
+def _brief(value: Any) -> str:
+    if not isinstance(value, np.ndarray):
+        return f"{value:.3g}" if isinstance(value, float) else repr(value)
+    if value.size > 12:
+        return f"<{' × '.join(map(str, value.shape))}>"
+    return np.array2string(value, separator=", ", max_line_width=200, formatter={"all": lambda each: f"{each:.4g}"})
 
 
 def _key(value: Any) -> Any:

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, Jacobian, JointVector, SelfMotionVector, checked, frozen_copy, unchecked
+from eos_pin._arrays import Array, Jacobian, JointVector, SelfMotionVector, brief, checked, frozen_copy, unchecked
 from eos_pin.charts._basis import carried, check_rank, null_basis
 from eos_pin.charts._newton import Inverse, newton, walk
 from eos_pin.charts.directions import Directions
@@ -22,6 +22,7 @@ from eos_pin.robot.postures import JointsLike
 from eos_pin.tasks.base import Point, Task, TaskPoint
 
 
+@brief("task", "q_bar", "v_bar")
 @dataclass(frozen=True, eq=False)
 class Chart(Directions):
     """A neighbourhood of q_bar on which (z, v) are coordinates of the robot; made by `Chart.from_base`.

@@ -7,7 +7,7 @@ from typing import Literal, TypeAlias
 
 from jaxtyping import Float, Int
 
-from eos_pin._arrays import Array, JointVector, by_value, checked
+from eos_pin._arrays import Array, JointVector, brief, by_value, checked
 from eos_pin.charts.chart import Chart
 from eos_pin.errors import Renamed
 
@@ -17,6 +17,7 @@ Strategy: TypeAlias = Literal["continuation", "via", "search"]
 STRATEGIES: tuple[Strategy, ...] = ("continuation", "via", "search")
 
 
+@brief("complete", "residual", "q")
 @by_value
 @dataclass(frozen=True, eq=False)
 class JointPath:
@@ -48,6 +49,7 @@ class JointPath:
         return not self.message
 
 
+@brief("found", "strategy", "residual", "within_limits", "q")
 @by_value
 @dataclass(frozen=True, eq=False)
 class IkSolution:

@@ -60,6 +60,8 @@ def analyze(
     from eos_pin.experiments.joint_logs import read_joint_log
     from eos_pin.simulation.analysis import analyze as analyzed
 
+    names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
+    files = output.within(Path("runs") / f"{log.stem}-analysis", names=names)
     machine = robot.load()
     say_notes(machine)
     frame = str(machine.options.get("chain_to", ""))
@@ -73,7 +75,5 @@ def analyze(
     console.print(run_table(summary))
     if not math.isfinite(result.period):
         stderr.print("Note: no rounds were found; --period T gives the time of one.", soft_wrap=True)
-    names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
-    files = output.within(Path("runs") / f"{log.stem}-analysis", names=names)
     print_files(write_outputs(files, result, machine, figures=summary))
     return 0

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import tyro
 
+from eos_pin._files import check_writable
 from eos_pin.cli.output import console, format_number, print_files, say_notes, stderr
 from eos_pin.experiments.options import RobotOptions
 
@@ -33,6 +34,7 @@ def demo(robot: tyro.conf.Positional[str] = "panda", html: Path | None = None) -
     from eos_pin.experiments.lesson import lesson
     from eos_pin.viewer.lesson import write_lesson
 
+    check_writable(html or FOLDER)
     machine = RobotOptions(robot).load()
     say_notes(machine)
     found = lesson(machine)

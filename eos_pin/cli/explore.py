@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from eos_pin._files import check_writable
 from eos_pin.cli.demo import FOLDER, opened
 from eos_pin.cli.output import print_files, say_notes
 from eos_pin.experiments.options import RobotOptions, TaskOptions
@@ -28,6 +29,7 @@ def explore(robot: RobotOptions, task: TaskOptions = TaskOptions(), html: Path |
     """
     from eos_pin.viewer.explorer import write_explorer
 
+    check_writable(html or FOLDER)
     machine = robot.load()
     say_notes(machine)
     goal, q = task.make(machine)

@@ -19,6 +19,7 @@ from eos_pin.cli.output import (
     say_notes,
     show,
     stderr,
+    title_of,
     write_outputs,
 )
 from eos_pin.errors import InputError
@@ -70,6 +71,7 @@ def ik(
     from eos_pin.simulation._recorder import joint_run
 
     output.without("seed", reason="nothing is random here")
+    output.within(None, names={})
     if to and path is not None:
         raise InputError("--to and --path exclude each other: joints are found for one point, or along a path")
     machine = robot.load()
@@ -106,7 +108,7 @@ def ik(
     rows = [
         (joint.name, f"{value:.6f}", joint.lower, joint.upper) for joint, value in zip(machine.joints, end, strict=True)
     ]
-    console.print(grid(f"{machine.name}: {goal!r}", ("joint", "value", "lower", "upper"), rows))
+    console.print(grid(title_of(machine, goal), ("joint", "value", "lower", "upper"), rows))
     console.print(f"{strategy}, {figures['charts']} charts, task error {format_number(residual)}")
     if message:
         stderr.print(f"not reached: {message}", markup=False)

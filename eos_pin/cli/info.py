@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+import shlex
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -152,16 +153,26 @@ def _coupling_sentence(coupling: dict[str, dict[str, float]]) -> str:
 
 def _advice(robot: RobotOptions, task: TaskOptions, found: Findings) -> list[str]:
     """Advice in a line; none where nothing can be done as asked."""
-    words = f"{robot.robot}{f' --frame {robot.frame}' if robot.frame else ''}"
-    words += f" --task {task.task}" if task.task != TaskOptions.task else ""
-    for name, values in (("point", task.point), ("tolerance", task.tolerance)):
-        words += f" --{name} {' '.join(map(str, values))}" if values else ""
+    words = command_words(robot, task)
     words += " --path hold" if task.point else ""
     if found.task is None:
         return []
     if "dynamics" in found.cannot:
         return [f"Try: eos-pin ik {words}"]
     return [f"Try: eos-pin track {words}"]
+
+
+def command_words(robot: RobotOptions, task: TaskOptions) -> str:
+    """Robot and task as arguments of a command, quoted for a shell."""
+    words = [robot.robot]
+    for options in (robot, task):
+        for each in fields(options):
+            value = getattr(options, each.name)
+            if each.name == "robot" or value == each.default:
+                continue
+            values = value if isinstance(value, tuple) else (value,)
+            words += ["--" + each.name.replace("_", "-"), *(str(item) for item in values)]
+    return shlex.join(words)
 
 
 def _still(output: Output, robot: Robot, task: Task | None, q: JointVector, figures: dict[str, Any]) -> list[Path]:

@@ -10,6 +10,7 @@ import tyro
 
 # What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
 from eos_pin.cli.analyze import analyze
+from eos_pin.cli.arguments import STYLE, Registry
 from eos_pin.cli.demo import demo
 from eos_pin.cli.explore import explore
 from eos_pin.cli.ik import ik
@@ -31,7 +32,12 @@ def run(command: Callable[..., int], argv: Sequence[str] | None = None) -> int:
     Returns:
         0, 1 for a run that failed, 2 for bad input, 130 for an interrupt.
     """
-    return guarded(lambda: tyro.cli(command, args=argv, config=_STYLE))
+
+    def parsed() -> int:
+        with Registry():
+            return tyro.cli(command, args=argv, config=STYLE)
+
+    return guarded(parsed)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -60,13 +66,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def command() -> int:
         _refuse_old_flags(words)
-        return tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog="eos-pin",
-            description="Extended operational space control of redundant robots, on any URDF.",
-            args=argv,
-            config=(*_STYLE, tyro.conf.PositionalRequiredArgs, tyro.conf.FlagCreatePairsOff),
-        )
+        with Registry():
+            return tyro.extras.subcommand_cli_from_dict(
+                commands,
+                prog="eos-pin",
+                description="Extended operational space control of redundant robots, on any URDF.",
+                args=argv,
+                config=(*STYLE, tyro.conf.PositionalRequiredArgs, tyro.conf.FlagCreatePairsOff),
+            )
 
     return guarded(command)
 
@@ -85,9 +92,6 @@ def _refuse_old_flags(words: Sequence[str]) -> None:
         flag = word.partition("=")[0]
         if flag in _OLD_FLAGS:
             raise OldNameError(f"the option {flag} was renamed: use {_OLD_FLAGS[flag]}")
-
-
-_STYLE = (tyro.conf.OmitArgPrefixes,)
 
 
 if __name__ == "__main__":

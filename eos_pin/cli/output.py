@@ -20,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from eos_pin._arrays import Array, JointVector
-from eos_pin._files import write_atomically
+from eos_pin._files import check_writable, write_atomically
 from eos_pin.cli.tables import fitted
 from eos_pin.cli.tables import format_number as format_number
 from eos_pin.cli.terminal import shown, spell_output
@@ -37,6 +37,13 @@ if TYPE_CHECKING:
     from eos_pin.simulation.result import Result
     from eos_pin.tasks.base import Task
     from eos_pin.trajectories.base import Trajectory
+
+
+#: Words for the letters in tables of runs.
+KEY = (
+    "n joints follow a task of m coordinates, so that r = n - m are to spare: their motion is v. A chart is a range "
+    "of joints on which task and v are coordinates; its margin is 1 in the middle and 0 at the edge."
+)
 
 
 class Terminal(Console):
@@ -93,11 +100,15 @@ class Output:
         Args:
             folder: Folder where `out` is not given; None for no default files then.
             names: File name by the name of the option.
+
+        Raises:
+            OutputError: A file could not be written there; found out before anything runs.
         """
         base = self.out or folder
         chosen = {key: getattr(self, key) for key in ("json", "html", "plot", "csv", "bag", "rerun")}
         if base is not None:
             chosen |= {key: chosen[key] or base / name for key, name in names.items()}
+        check_writable(*filter(None, (base, *chosen.values())))
         return Output(out=base, view=self.view, seed=self.seed, **chosen)
 
 
@@ -271,6 +282,12 @@ def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> T
     return fitted(spelled(title), columns, [[spelled(cell) for cell in row] for row in rows], console.width)
 
 
+def title_of(robot: Robot, task: Task) -> str:
+    """Robot and task in words, such as "panda: pose of panda_hand_tcp"."""
+    axes = f", {task.axes}" if task.kind == "position" and task.axes != "xyz" else ""
+    return f"{robot.name}: {task.kind or type(task).__name__}{f' of {task.frame}' if task.frame else ''}{axes}"
+
+
 def run_table(summary: Mapping[str, Any]) -> Table:
     """Table of one run."""
     title = f"{summary['robot']}: {summary['frame'] or summary['task'].get('kind', '')}"
@@ -287,11 +304,9 @@ def run_table(summary: Mapping[str, Any]) -> Table:
     table.add_row(f"task error, {settled}", f"{format_number(summary['task_error_max'])} {units}")
     nothing = "none: the task takes all joints (r = 0)" if summary["m"] and not summary["r"] else ""
     table.add_row(f"self-motion error, {settled}", nothing or format_number(summary["self_motion_error_max"]))
-    drift = ", ".join(format_number(d) for d in summary["joint_drift_per_cycle"]) or "-"
-    table.add_row("joint drift, cycle by cycle", drift)
+    table.add_row("joint drift of a cycle", _drift(summary["joint_drift_per_cycle"]))
     if any(summary["joint_turns_per_cycle"]):
-        turns = ", ".join(map(str, summary["joint_turns_per_cycle"]))
-        table.add_row("whole turns of a joint, cycle by cycle", turns)
+        table.add_row("whole turns of a joint in a cycle, at most", str(max(summary["joint_turns_per_cycle"])))
     if summary["joint_distance"]:
         apart = summary["joint_distance"]
         text = f"{format_number(apart['max'])} rad or m, at the end {format_number(apart['end'])}"
@@ -313,7 +328,17 @@ def run_table(summary: Mapping[str, Any]) -> Table:
     if summary["limits"]["message"]:
         text = escape(summary["limits"]["message"])
         table.add_row("limits", f"[bold red]{text}[/]" if summary["limits"]["passed"] else text)
+    if summary["m"]:
+        table.caption, table.caption_justify = KEY, "left"
     return table
+
+
+def _drift(cycles: Sequence[float]) -> str:
+    """Drift of the first cycle, the largest of all, and that of the last."""
+    if len(cycles) < 3:
+        return ", ".join(map(format_number, cycles)) or "-"
+    first, worst, last = (format_number(cycles[i]) for i in (0, int(np.argmax(cycles)), -1))
+    return f"first {first}, worst {worst}, last {last}, of {len(cycles)}"
 
 
 def print_runs(title: str, what: str, summaries: Mapping[str, Mapping[str, Any]]) -> None:

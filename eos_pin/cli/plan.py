@@ -13,6 +13,7 @@ import tyro
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from eos_pin._arrays import JointVector
+from eos_pin._files import check_writable
 from eos_pin.cli.output import (
     Output,
     console,
@@ -21,6 +22,7 @@ from eos_pin.cli.output import (
     say_notes,
     show,
     stderr,
+    title_of,
     write_json,
 )
 from eos_pin.errors import InputError, PlanError
@@ -245,6 +247,7 @@ def plan(
     files = output.within(
         None, names={"json": "plan.json", "csv": "joints.csv", "html": "replay.html", "plot": "plan.png"}
     )
+    check_writable(*([save] if save else []))
     within.check()
     if time.timing == "fastest" and path.period is not None:
         raise InputError(f"--period {path.period:g} does not apply: --timing fastest finds the time")
@@ -362,7 +365,7 @@ def _table(found: Plan) -> Any:
     from rich.table import Table
 
     info = found.info
-    table = Table(title=f"{found.robot.name}: {found.task!r}", show_header=False)
+    table = Table(title=title_of(found.robot, found.task), show_header=False)
     table.add_row("status", info["status"])
     table.add_row(
         "path", f"{'closed' if info['closed'] else 'open'}, {info['waypoints']} way points, {info['duration']:.4g} s"

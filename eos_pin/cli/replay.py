@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from eos_pin.simulation.result import Result
 
 
-def replay(runs: tyro.conf.Positional[tuple[Path, ...]], output: Output = Output(), robot: str = "") -> int:
+def replay(runs: tyro.conf.Positional[tuple[Path, ...]] = (), output: Output = Output(), robot: str = "") -> int:
     """Show saved runs in the browser, or write them as HTML, figure, table or JSON.
 
     Of several runs the first is solid and the others are ghosts at its place, or they stand side by side; their curves

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from eos_pin.cli.output import Output, console, format_number, grid, print_files, say_notes, stderr, write_json
+from eos_pin.cli.output import (
+    Output,
+    console,
+    format_number,
+    grid,
+    print_files,
+    say_notes,
+    stderr,
+    title_of,
+    write_json,
+)
 from eos_pin.errors import InputError
 from eos_pin.experiments.options import RobotOptions, TaskOptions
 
@@ -37,6 +47,7 @@ def selfmotion(
     from eos_pin.planning.manifolds.equilibria import crossings, equilibria
     from eos_pin.planning.manifolds.manifold import self_motion_manifold
 
+    output.within(None, names={})
     output.without("csv", "bag", "rerun", "html", "view", reason="nothing moves here")
     machine = robot.load()
     say_notes(machine)
@@ -53,7 +64,7 @@ def selfmotion(
     ways = crossings(manifold, found)
     names = {"json": "selfmotion.json"} | ({"plot": "potential.png"} if manifold.components else {})
     files = output.within(None, names=names)
-    title = f"{machine.name}: {goal!r}, r = {machine.n - goal.m}: equilibria of the self-motion under gravity"
+    title = f"{title_of(machine, goal)}, r = {machine.n - goal.m}: equilibria of the self-motion under gravity"
     columns = ("", "component", "arc length", "energy [J]", "at rest it is", "small motions", "joint limits")
     console.print(grid(title, columns, [_row(k, each) for k, each in enumerate(found)]))
     if ways:

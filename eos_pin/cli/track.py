@@ -16,6 +16,7 @@ from eos_pin.cli.output import (
     run_table,
     say_notes,
     stderr,
+    title_of,
     warn_of_gravity,
     write_outputs,
 )
@@ -73,6 +74,8 @@ def track(
       eos-pin track panda --control-rate 1000 --noise 1e-5 --model-error 0.1 --torque-limits
     """
     check_options(task, path, control, simulation, seed=output.seed, plan=plan)
+    names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
+    files = output.within(Path("runs") / f"{Path(robot.robot).stem}-{task.task}", names=names)
     machine = robot.load()
     say_notes(machine)
     solids = obstacles_in(scene)
@@ -103,8 +106,6 @@ def track(
             result = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer, dq=start)
         else:
             result = run_commanded(loop, q, duration, observer=observer)
-    names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
-    files = output.within(Path("runs") / f"{Path(robot.robot).stem}-{task.task}", names=names)
     summary = result.summary()
     console.print(run_table(summary))
     note = "" if motion else repeat_note(machine, result, control.self_motion)
@@ -146,6 +147,8 @@ def compare(
       eos-pin compare panda --task pose --controllers eos null-space-posture --cycles 10
     """
     check_options(task, path, simulation, seed=output.seed)
+    names = {"json": "summary.json", "html": "replay.html", "plot": "comparison.png"}
+    files = output.within(Path("runs") / f"{Path(robot.robot).stem}-compare", names=names)
     if len(set(controllers)) < len(controllers):
         raise InputError(f"each controller is compared once, got {', '.join(controllers)}")
     machine = robot.load()
@@ -161,9 +164,7 @@ def compare(
         with progress(output, machine, q, duration, name, (goal, reference)) as observer:
             results[kind] = simulation.run(machine, controller, q, duration, seed=output.seed, observer=observer)
     summaries = {name: result.summary() for name, result in results.items()}
-    print_runs(f"{machine.name}: {goal!r}", "controller", summaries)
-    names = {"json": "summary.json", "html": "replay.html", "plot": "comparison.png"}
-    files = output.within(Path("runs") / f"{Path(robot.robot).stem}-compare", names=names)
+    print_runs(title_of(machine, goal), "controller", summaries)
     from eos_pin.plots import pages as plots
 
     written = [result.save(files.out / f"{name}.npz") for name, result in results.items() if files.out]

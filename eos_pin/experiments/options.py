@@ -262,7 +262,7 @@ class RunOptions:
         plant: Simulator: our own equations of motion, or MuJoCo (pip install 'eos-pin[mujoco]'), which runs
             sampled, at 1000 Hz by default.
         control_rate: Run sampled at this many control periods per second, with held torques; continuous by default
-        [Hz].
+            [Hz].
         substeps: Steps of the plant in each control period.
         noise: Standard deviation of measured joints [rad or m], and of measured velocities ten times that per second.
         delay: Age of the state the controller sees [s].

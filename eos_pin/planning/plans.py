@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import lapack
 
-from eos_pin._arrays import Array, by_value, checked, frozen_copy, number
+from eos_pin._arrays import Array, brief, by_value, checked, frozen_copy, number
 from eos_pin._files import write_atomically
 from eos_pin.errors import InputError, PlanError, ResultError
 from eos_pin.planning.curves import spline
@@ -34,6 +34,7 @@ EXACT, MOST_STEPS = 1e-12, 12
 FORMAT = 1
 
 
+@brief("task", "status", "closed", "start", "end", "q")
 @by_value
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -67,11 +68,9 @@ class Plan:
     def __post_init__(self) -> None:
         object.__setattr__(self, "times", frozen_copy(self.times))
         object.__setattr__(self, "q", frozen_copy(self.q))
-        if self.q.shape != (len(self.times), self.task.robot.n):
-            raise InputError(
-                f"a plan of {len(self.times)} times needs joints of shape ({len(self.times)}, {self.task.robot.n}), "
-                f"got {self.q.shape}"
-            )
+        wanted = len(self.times), self.task.robot.n
+        if self.q.shape != wanted:
+            raise InputError(f"a plan of {wanted[0]} times needs joints of shape {wanted}, got {self.q.shape}")
 
     @property
     def robot(self) -> Robot:

@@ -134,6 +134,15 @@ def _dashes(values: Float[Array, "T n"], i: int) -> Any:
     return (0.0, (length, 8.0 - length)) if hidden else "-"
 
 
+def keep_still(ax: Axes, least: float = STILL) -> None:
+    """Widen axes that show less than this, so that rounding errors are not drawn as motion."""
+    for axis in "xyz" if is_solid(ax) else "xy":
+        low, high = getattr(ax, f"get_{axis}lim")()
+        if high - low < least:
+            middle = 0.5 * (low + high)
+            getattr(ax, f"set_{axis}lim")(middle - 0.5 * least, middle + 0.5 * least)
+
+
 def draw_legend(ax: Axes, columns: int) -> None:
     """Legend above the axes, where it covers nothing; on the right, because powers of ten stand on the left."""
     handles, labels = ax.get_legend_handles_labels()

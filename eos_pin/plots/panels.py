@@ -29,7 +29,6 @@ from eos_pin.plots._style import (
     ORANGE,
     PURPLE,
     REFERENCE,
-    STILL,
     VERMILION,
     colors_of,
     draw_legend,
@@ -38,6 +37,7 @@ from eos_pin.plots._style import (
     faded,
     focus,
     is_solid,
+    keep_still,
     largest,
     name_axes,
     name_time,
@@ -49,6 +49,8 @@ from eos_pin.simulation.result import Result
 
 #: A joint that uses more of its range than this is near its limits, and the colour in which it passes them.
 NEAR, PASSED = 0.8, "#E00000"
+#: Kinetic energy below which a robot rests [J].
+REST = 1e-6
 
 
 @checked
@@ -63,6 +65,7 @@ def plot_path(ax: Axes, result: Result) -> None:
     if len(names) < 2:
         ax.plot(result.t, result.z_ref, color=REFERENCE, linewidth=3.5)
         draw_lines(ax, result.t, result.z, "z")
+        keep_still(ax)
         name_time(ax, result)
         return _set_ylabel(ax, result.labels[0] if len(result.labels) == 1 else "task point", result.units)
     columns = largest(_seen_path(result), 3 if is_solid(ax) else 2)
@@ -70,6 +73,7 @@ def plot_path(ax: Axes, result: Result) -> None:
         ax.plot(*result.z_ref[:, columns].T, color=REFERENCE, linewidth=2.5, label="reference")
     ax.plot(*result.z[:, columns].T, color=ACTUAL, label="actual")
     ax.plot(*result.z[:1, columns].T, "o", color=ACTUAL, markerfacecolor="white", markersize=4, label="start")
+    keep_still(ax)
     name_axes(ax, [f"{names[i]} [m]" for i in columns], equal=True)
     return draw_legend(ax, 3)
 
@@ -81,6 +85,7 @@ def plot_joints(ax: Axes, result: Result, robot: Robot | None = None, *, per_cyc
     A joint's limits are dashed lines in its colour where the run comes near them, and it is red where it passes them.
     """
     colors = draw_lines(ax, result.t, result.q, "q")
+    keep_still(ax)
     _draw_joint_limits(ax, result, colors)
     if result.cycles:
         times = key_times(result, per_cycle=per_cycle)
@@ -141,6 +146,7 @@ def plot_orbit(
     if result.cycles:
         ax.plot(*points[result.cycle_rows].T, "o", color=BLACK, markersize=2.5, zorder=5)
     ax.plot(*points[:1].T, "o", color=BLACK, markerfacecolor="white", markersize=4, zorder=6)
+    keep_still(ax)
     name_axes(ax, names)
 
 
@@ -153,9 +159,7 @@ def plot_self_motion(ax: Axes, result: Result, robot: Robot | None = None) -> No
         ax.plot(result.t, result.v_ref[:, :1], color=REFERENCE, linewidth=3.5, label="reference")
         ax.plot(result.t, result.v_ref[:, 1:], color=REFERENCE, linewidth=3.5)
     draw_lines(ax, result.t, result.v, "v")
-    low, high = ax.get_ylim()
-    if high - low < STILL:
-        ax.set_ylim(0.5 * (low + high - STILL), 0.5 * (low + high + STILL))
+    keep_still(ax)
     name_time(ax, result)
     return _set_ylabel(ax, "self-motion", joint_units(robot))
 
@@ -220,7 +224,8 @@ def plot_kinetic_energy(ax: Axes, results: Result | Mapping[str, Result]) -> Non
     for k, (name, result) in enumerate(runs.items()):
         color = colors_of(runs)[k] if name else ACTUAL
         ax.plot(result.t, result.kinetic_energy, color=color, label=name or None, zorder=3.0 - 0.01 * k)
-    means = [mean for result in runs.values() if (mean := result._mean(result.kinetic_energy)) > 0.0]
+    # A robot at rest has rounding errors for an energy.
+    means = [mean for result in runs.values() if (mean := result._mean(result.kinetic_energy)) > REST]
     if means and max(means) > 30.0 * min(means):
         use_decades(ax)
         # Where a motion turns, its energy is zero; that is no reason to show ten decades.
@@ -228,7 +233,7 @@ def plot_kinetic_energy(ax: Axes, results: Result | Mapping[str, Result]) -> Non
     else:
         if len(runs) == 1:
             focus(ax, result, result.kinetic_energy)
-        ax.set_ylim(bottom=0.0)
+        ax.set_ylim(0.0, max(ax.get_ylim()[1], REST))
     name_time(ax, *runs.values())
     ax.set_ylabel("kinetic energy [J]")
 
@@ -275,6 +280,7 @@ def _plot_within(
     relative = len(limits) > 1 and bool(np.isfinite(bounds).all())
     values, limits = (values / bounds, np.ones(1)) if relative else (values, limits)
     draw_lines(ax, result.t, values, symbol)
+    keep_still(ax)
     focus(ax, result, values)
     low, high = ax.get_ylim()
     far = limits[limits > 1.5 * max(-low, high)]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eos_pin._arrays import Array, Vector, by_value, checked, frozen_copy, largest_magnitude, nearest, unchecked
+from eos_pin._arrays import Array, Vector, brief, by_value, checked, frozen_copy, largest_magnitude, nearest, unchecked
 from eos_pin._files import write_csv
 from eos_pin.errors import InputError, Renamed, ResultError
 from eos_pin.robot.loading import load_robot
@@ -30,6 +30,7 @@ from eos_pin.trajectories.bags import JointMotion, write_bag
 TASK_DEFICIT = 1e-6
 
 
+@brief("status", "frame", "cycles", "period", "q")
 @by_value
 @dataclass(frozen=True, eq=False)
 class Result:

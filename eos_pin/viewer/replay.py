@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -105,7 +106,8 @@ def scene_of(result: Result, robot: Robot, obstacles: Sequence[Obstacle] = (), *
         tip = np.array([robot.placement(q, frame).translation for q in result.q])
         paths["reference"] = placed(tip, result.z_ref, result.axes)
     summary = result.summary()
-    caption = f"{result.info.get('controller', {}).get('kind', '')}: task error {summary['task_error_max']:.3g}"
+    law = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", result.info.get("controller", {}).get("kind", "")).lower()
+    caption = f"{law.replace('eos', 'EOS')}: task error {summary['task_error_max']:.3g}".removeprefix(": ")
     drift = summary["joint_drift_per_cycle"]
     caption += f", joint drift per cycle {drift[-1]:.3g}" if drift else ""
     used = summary["limits"]

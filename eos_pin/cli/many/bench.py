@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from eos_pin._files import check_writable
 from eos_pin.cli.many.sweep import Words
 from eos_pin.cli.output import console, grid, print_files, stderr, write_json
 from eos_pin.errors import InputError
@@ -67,6 +68,7 @@ def bench(
     """
     from eos_pin.experiments.bench.harness import read_results
 
+    check_writable(*filter(None, (kept.out, kept.page, kept.json)))
     if results is not None:
         if robot or laws or settings:
             raise InputError("robots, laws and settings are those of the table of --results; leave them out")

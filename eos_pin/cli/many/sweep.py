@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from tyro.constructors import PrimitiveConstructorSpec
 
 from eos_pin._arrays import number
+from eos_pin._files import check_writable
 from eos_pin.cli.output import (
     console,
     grid,
@@ -135,7 +136,7 @@ class SweepOutput:
 
 
 def sweep(
-    robot: tyro.conf.Positional[tuple[str, ...]],
+    robot: tyro.conf.Positional[tuple[str, ...]] = (),
     swept: SweepAxes = SweepAxes(),
     same: SweepFixed = SweepFixed(),
     kept: SweepOutput = SweepOutput(),
@@ -164,6 +165,7 @@ def sweep(
     from eos_pin.plots import pages as plots
 
     number(seeds, "the number of seeds", at_least=1)
+    check_writable(*filter(None, (kept.out, kept.table, kept.plot, kept.json)))
     axes: dict[str, Sequence[Any]] = {"robot": robot} | {name: values for name, values in vars(swept).items() if values}
     axes |= {"seed": range(seeds)}
     _check(axes, vars(same))

@@ -1,0 +1,128 @@
+"""What people see on a terminal: help, tables at common widths, short descriptions, and refusals before a run."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tyro
+
+from eos_pin import Atlas, Chart, PositionTask, Robot, plan
+from eos_pin.cli.info import command_words
+from eos_pin.cli.main import main
+from eos_pin.cli.output import _drift, console, print_runs, run_table
+from eos_pin.experiments.options import RobotOptions, TaskOptions
+from eos_pin.simulation.result import Result
+
+COMMANDS = (
+    *("demo", "explore", "track", "plan", "compare", "sweep", "bench", "rehearse", "analyze", "info"),
+    *("ik", "selfmotion", "replay", "robots"),
+)
+WIDTHS = (80, 100, 160)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_names_arguments_and_has_no_empty_default(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    said = capsys.readouterr().out
+    words = " ".join(re.sub("[│╭╮╰╯─]", " ", said).split())
+    assert "None" not in words
+    assert not re.search(r"\(default: *(''|\"\")?\)", words)
+    if hasattr(tyro.conf, "PositionalMetavarFromFieldName"):
+        usage = words.partition("╭")[0].partition(" options")[0]
+        assert not re.search(r"(STR|PATH)\]? *$", usage.splitlines()[0])
+        assert "STR" not in said.splitlines()[0]
+
+
+@pytest.fixture(scope="module")
+def run(panda: Robot) -> Result:
+    rows, n = 41, panda.n
+    t = np.linspace(0.0, 40.0, rows)
+    q = np.zeros((rows, n))
+    q[1:, 0] = 1e-3 * np.arange(1, rows) ** 2
+    zeros = np.zeros((rows, n))
+    point, empty = np.zeros((rows, 3)), np.zeros((rows, 0))
+    return Result(
+        *(t, q, zeros, zeros, zeros, point, point, point, point, empty, point, point, zeros[:, :4], zeros[:, :4]),
+        *(zeros[:, :4], np.zeros(rows, dtype=int), np.zeros(rows), np.zeros(rows), np.zeros(0)),
+        period=1.0,
+        frame="panda_hand_tcp",
+        labels=("x", "y", "z"),
+        units=("m", "m", "m"),
+    )
+
+
+def test_drift_of_many_cycles_is_first_worst_and_last() -> None:
+    assert _drift([]) == "-"
+    assert _drift([0.5, 0.25]) == "0.5, 0.25"
+    assert _drift([0.5, 2.0, *[0.25] * 398]) == "first 0.5, worst 2, last 0.25, of 400"
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_tables_of_runs_fit_and_cut_no_word(
+    width: int, run: Result, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, "width", width)
+    summary = run.summary()
+    console.print(run_table(summary))
+    print_runs("panda: pose", "controller", dict.fromkeys(("eos", "null-space-damping", "task-space-energy"), summary))
+    said = capsys.readouterr().out
+    assert max(map(len, said.splitlines())) <= width
+    assert "…" not in said
+    assert {"damping", "first", "worst", "last", "margin"} <= set(re.findall(r"\w+", said))
+
+
+def test_long_results_describe_themselves_in_a_line(panda: Robot, run: Result) -> None:
+    task = PositionTask(panda, "panda_hand_tcp")
+    q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.7, 0.8])
+    z = task.value(q)
+    found, path = Atlas(task).solve(q, z + 0.01), Atlas(task).follow(q, [z])
+    made = plan(task, [z, z + 0.02], start=q, effort=1)
+    for thing in (run, found, path, Chart.from_base(task, q), made):
+        said = repr(thing)
+        assert len(said) < 250, said
+        assert said.startswith(f"{type(thing).__name__}(")
+    assert "found=True" in repr(found)
+
+
+def test_advice_is_a_whole_command_that_a_shell_reads_back() -> None:
+    robot = RobotOptions("my robots/arm one.urdf", lock=("elbow=0.2",), payload=1.5)
+    task = TaskOptions("point-axis", q0=(0.1, -2.0), tool_axis="-x")
+    words = shlex.split(command_words(robot, task))
+    assert words[0] == "my robots/arm one.urdf"
+    assert words[1:] == (
+        ["--lock", "elbow=0.2", "--payload", "1.5", "--task", "point-axis", "--q0", "0.1", "-2.0", "--tool-axis", "-x"]
+    )
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["track", "ppr"],
+        ["compare", "ppr"],
+        ["plan", "ppr"],
+        ["explore", "ppr"],
+        ["sweep", "ppr"],
+        ["selfmotion", "ppr"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_output_that_cannot_be_written_is_refused_before_the_run(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def load(*options: object, **more: object) -> None:
+        raise AssertionError("the robot was loaded before the folder was looked at")
+
+    monkeypatch.setattr("eos_pin.robot.loading.load_robot", load)
+    (tmp_path / "file").write_text("")
+    flag = (
+        ["--html", str(tmp_path / "file" / "page.html")]
+        if command[0] == "explore"
+        else ["--out", str(tmp_path / "file" / "runs")]
+    )
+    assert main([*command, *flag]) == 2
+    assert "is a file, not a folder" in capsys.readouterr().err
