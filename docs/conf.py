@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 import eos_pin
 
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
 
 project, author, version = "eos_pin", "the authors of eos_pin", eos_pin.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 html_theme, html_title = "furo", f"eos_pin {version}"
 html_static_path: list[str] = []
 exclude_patterns = ["_build"]
+# Of the links to other sites only whether they answer is checked: `python -m sphinx -b linkcheck docs build/links`.
+linkcheck_anchors = False
 myst_heading_anchors = 3
 # Text between single backquotes in docstrings is code.
 default_role = "code"
@@ -81,7 +85,15 @@ def escape(_app: Any, _what: str, _name: str, _object: Any, _options: Any, lines
         )
 
 
+def write_explorer(app: Any) -> None:
+    """Write the explorer that the tutorial shows, where pages look for it."""
+    from figures import explorer
+
+    explorer(Path(app.outdir))
+
+
 def setup(app: Any) -> None:
     """Connect the steps of the build."""
+    app.connect("builder-inited", write_explorer)
     app.connect("builder-inited", write_reference)
     app.connect("autodoc-process-docstring", escape, priority=400)

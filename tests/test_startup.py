@@ -87,3 +87,13 @@ def test_public_names_of_rooms_are_there(room):
 def test_rooms_that_users_import_from_have_public_names():
     rooms = {"charts", "control", "experiments", "planning", "plots", "robot", "simulation", "tasks", "trajectories"}
     assert rooms | {"viewer"} == {path.parent.name for path in PACKAGE.glob("*/__init__.pyi")}
+
+
+def test_task_of_a_plan_is_known_in_a_process_that_used_no_task_before():
+    code = """
+from eos_pin import load_robot
+from eos_pin.tasks.stacked import task_from_description
+words = {"kind": "pose", "frame": "panda_hand_tcp"}
+assert task_from_description(load_robot("panda", chain_to="panda_hand_tcp"), words).describe() == words
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -42,7 +42,7 @@ def brief(*names: str) -> Callable[[type[T]], type[T]]:
         def written(self: Any) -> str:
             return f"{type(self).__name__}({', '.join(f'{name}={_brief(getattr(self, name))}' for name in names)})"
 
-        kind.__repr__ = written  # type: ignore[assignment, method-assign]
+        kind.__repr__ = written  # type: ignore[method-assign]
         return kind
 
     return decorate
