@@ -126,7 +126,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   add("h2", "Now");
   const table = add("table"), cells = {};
   for (const [id, text] of [["error", "task error"], ["margin", "margin of the chart"], ["charts", "charts used"], ["manipulability", "manipulability"],
-    ...data.capsules.pairs.length ? [["apart", "links apart"]] : [], ...data.weighs ? [["torque", "largest gravity torque"], ["energy", "potential energy"]] : []]) {
+    ...data.capsules.pairs.length ? [["apart", "links apart"]] : [], ...data.weighs ? [["torque", "largest gravity torque"], ["energy", "potential energy"]] : [], ["pace", "computing, pictures"]]) {
     const row = add("tr", "", table);
     add("td", text, row);
     cells[id] = add("td", "", row);
@@ -172,8 +172,8 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   }
 
   const matrix = new THREE.Matrix4(), quaternion = new THREE.Quaternion(), where = new Float64Array(robot.n * 12);
-  let traced = null, drawnFor = null, waiting = 0;
-  const state = window.explorer = { robot, posture, go, jump, handles, milliseconds: 0, loop: () => traced };
+  let traced = null, drawnFor = null, waiting = 0, pictured = 0;
+  const state = window.explorer = { robot, posture, go, jump, handles, milliseconds: 0, rate: 0, loop: () => traced };
 
   /** Bring the picture and the numbers up to where the posture is. */
   function update(began = performance.now()) {
@@ -217,6 +217,12 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
       else if (!waiting) waiting = setTimeout(retrace, drawnFor ? 60 : 0);
     }
     state.milliseconds = performance.now() - began;
+    // Pictures are counted while something moves, and a pause is not a slow picture.
+    requestAnimationFrame(now => {
+      if (now > pictured && now - pictured < 500) state.rate += .2 * (1000 / (now - pictured) - state.rate);
+      pictured = now;
+      cells.pace.textContent = `${state.milliseconds.toFixed(1)} ms, ${state.rate.toFixed(0)} / s`;
+    });
   }
   /** Joint whose gravity torque is the largest part of its limit, and that part; where limits are missing, the torque itself. */
   const load = torque => {

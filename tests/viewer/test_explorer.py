@@ -255,6 +255,8 @@ def test_explorer_moves_task_and_self_motion_by_hand(chromium: Chromium, written
     keyed = state(page)
     assert keyed["v"][0] != hand["v"][0]
     assert keyed["error"] < 1e-9
+    pace = "[...document.querySelectorAll('#panel td')].some(cell => /^[\\d.]+ ms, \\d+ \\/ s$/.test(cell.textContent))"
+    wait_for(lambda: page.js(pace), 10.0)
     assert all(url.startswith(("file://", "data:", "blob:")) for url in page.requests())
     assert len([url for url in page.requests() if url.startswith("file://")]) == 1
     assert not page.troubles()
