@@ -143,6 +143,8 @@ def _report(rows: Sequence[Row], kept: BenchOutput, written: list[Path]) -> int:
     by_law = [{s.law: s for s in each.standings} for each in verdicts]
     places = [[found[law] for found in by_law] for law in laws]
     values, best = (np.array([[getattr(s, name) for s in row] for row in places]) for name in ("to_eos", "best"))
+    # With too few pairs nothing is marked.
+    best &= np.array([each.decided for each in verdicts])
     place = kept.page or kept.out / "controllers.md"
     if np.isfinite(values).all():
         titles = [LAWS[law].title for law in laws]

@@ -96,7 +96,7 @@ def _in_short(verdicts: Sequence[Verdict]) -> str:
     if none:
         lines.append(f"* No winner with {_settings(none)}: several laws are as good, as far as these runs show.")
     needed = enough(len(verdicts[0].standings))
-    few = [v.setting for v in verdicts if v.pairs < needed]
+    few = [v.setting for v in verdicts if not v.decided]
     if few:
         there = "all settings" if len(few) == len(verdicts) else _settings(few)
         lines.append(f"* Fewer than {needed} pairs with {there}: nothing can be shown there.")
@@ -135,7 +135,7 @@ def _ratios(verdicts: Sequence[Verdict], laws: Sequence[str]) -> str:
             s = next(s for s in v.standings if s.law == law)
             text = f"{s.to_eos:.2f}" if s.to_eos < 100.0 else "> 100" if s.to_eos >= 100.0 else ""
             mark = "‡" if s.lost * 2 >= v.pairs else "†" if s.lost else ""
-            cells.append((f"**{text}**" if s.best else text) + mark)
+            cells.append((f"**{text}**" if s.best and v.decided else text) + mark)
         lines.append(f"| {_title(law)} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 

@@ -77,9 +77,14 @@ class Verdict:
         return tuple(standing.law for standing in self.standings if standing.best)
 
     @property
+    def decided(self) -> bool:
+        """Whether there are pairs enough for any difference to be shown."""
+        return self.pairs >= enough(len(self.standings))
+
+    @property
     def winner(self) -> str:
         """The law that is better than every other; empty where none is."""
-        return self.best[0] if len(self.best) == 1 and self.pairs >= enough(len(self.standings)) else ""
+        return self.best[0] if len(self.best) == 1 and self.decided else ""
 
 
 def verdict(rows: Sequence[Row], setting: str) -> Verdict:
