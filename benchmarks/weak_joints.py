@@ -53,6 +53,8 @@ WRONG = "could be kept"
 VERDICTS = HOPELESS, NOT_ALONE, EXCLUDED, ENDING, WRONG
 #: Into how many parts the way from one sample to the next is divided where the torque changes most.
 PARTS = (1, 4, 16, 64)
+#: Part of such a way in which a torque is looked for that jumps.
+NARROW = 1e-9
 
 
 class Asked(LimitedEosController):
@@ -320,16 +322,23 @@ def weak_step(seed: int, part: float) -> float:
 
 
 def divided_steps(seed: int) -> list[float]:
-    """The most a torque changes where the ways between samples are divided into `PARTS`."""
+    """The most a torque changes where ways between samples are divided into `PARTS`, and within `NARROW` of a way."""
     _, controller = weak_run(seed)
     states, torques = controller.states, np.array(controller.torques)
-    largest = np.zeros(len(PARTS))
+    largest = np.zeros(len(PARTS) + 1)
     # Where it changes most.
     for k in np.argsort(-np.abs(np.diff(torques, axis=0)).max(axis=1))[:20]:
-        way = [
-            controller._within(*(x + part * (y - x) for x, y in zip(states[k], states[k + 1], strict=True)))[0]
-            for part in np.linspace(0.0, 1.0, PARTS[-1] + 1)
-        ]
+
+        def torque(part: float, one: Any = states[k], other: Any = states[k + 1]) -> np.ndarray:
+            return controller._within(*(x + part * (y - x) for x, y in zip(one, other, strict=True)))[0]
+
+        marks = np.linspace(0.0, 1.0, PARTS[-1] + 1)
+        way = np.array([torque(part) for part in marks])
         steps = [np.abs(np.diff(way[:: PARTS[-1] // parts], axis=0)).max() for parts in PARTS]
-        largest = np.maximum(largest, steps)
+        # A jump is still there where the steepest part is divided on and on.
+        while marks[1] - marks[0] > NARROW:
+            changes = np.abs(np.diff(way, axis=0)).max(axis=1)
+            marks = np.linspace(*marks[[changes.argmax(), changes.argmax() + 1]], 9)
+            way = np.array([torque(part) for part in marks])
+        largest = np.maximum(largest, [*steps, np.abs(np.diff(way, axis=0)).max()])
     return largest.tolist()
