@@ -104,7 +104,11 @@ PEERS: Mapping[str, Peer] = {
 #: Those that other scripts than `run.py` compare with.
 OTHERS: Mapping[str, Peer] = {
     peer.key: peer
-    for peer in (Peer("ssik", ("ssik", "urchin", "numpy"), "ssik", "closed-form IK and self-motion of some arms"),)
+    for peer in (
+        Peer("ssik", ("ssik", "urchin", "numpy"), "ssik", "closed-form IK and self-motion of some arms"),
+        Peer("roboplan", ("roboplan", "numpy"), "roboplan.cartesian_planning", "local Cartesian planning on Pinocchio"),
+        Peer("tesseract", ("tesseract-robotics", "numpy"), "tesseract_robotics", "Descartes, a ladder graph"),
+    )
 }
 
 

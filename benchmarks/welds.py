@@ -55,6 +55,8 @@ REACH = 0.7
 #: Ways to plan: in words.
 MODES = {"free": "free", "cone": "free, axis within 15°", "fixed": "fixed"}
 CONE = float(np.radians(15.0))
+#: Random postures from which joints of a refused curve are searched for.
+STARTS = 40
 #: Largest errors at way points that are accepted [m, rad].
 ACCEPTED = 1e-8
 #: Start beside the plan [rad], rounds, and gains of the roll's law.
@@ -123,7 +125,7 @@ def planned(mode: str, robot: Robot, seed: int, count: int) -> dict[str, Any]:
             message = str(error)
     row: dict[str, Any] = {"robot": robot.name, "mode": mode, "seed": seed, "seconds": time.process_time() - began}
     if found is None:
-        return row | {"planned": False, "message": message}
+        return row | {"planned": False, "message": message, "out_of_reach": out_of_reach(robot, rows)}
     q = found.at_waypoints()
     motion = np.linalg.norm(np.diff(q, axis=0), axis=1)
     motion[[int(np.searchsorted(found.path.times, t)) - 1 for t in found.jump_times]] = 0.0  # type: ignore[attr-defined]
@@ -132,6 +134,30 @@ def planned(mode: str, robot: Robot, seed: int, count: int) -> dict[str, Any]:
         | {"planned": True, "jumps": len(found.jumps), "motion": float(motion.sum())}
         | checked(mode, robot, rows, q)
     )
+
+
+def out_of_reach(robot: Robot, rows: np.ndarray) -> int:
+    """At how many of every twentieth way point no joints are found, by Pinocchio alone and without limits."""
+    model, data = robot.model, robot.model.createData()
+    number, random, count = model.getFrameId("torch"), np.random.default_rng(0), 0
+    for z in rows[::20]:
+        goal = pin.SE3(z[3:].reshape(3, 3), z[:3])
+        for _ in range(STARTS):
+            q = random.uniform(-np.pi, np.pi, robot.n)
+            for _ in range(100):
+                pin.framesForwardKinematics(model, data, q)
+                J = pin.computeFrameJacobian(model, data, q, number, pin.LOCAL)
+                error = pin.log6(data.oMf[number].actInv(goal)).vector
+                if (size := np.linalg.norm(error)) < ACCEPTED:
+                    break
+                step = J.T @ np.linalg.solve(J @ J.T + 1e-3 * size * np.eye(6), error)
+                q = q + step * min(1.0, 0.5 / np.abs(step).max())
+            else:
+                continue
+            break
+        else:
+            count += 1
+    return count
 
 
 def checked(mode: str, robot: Robot, rows: np.ndarray, q: np.ndarray) -> dict[str, Any]:
@@ -268,12 +294,14 @@ def peer(options: argparse.Namespace) -> int:
 
 
 def summed(rows: list[dict[str, Any]]) -> str:
-    """Cells of a table: how many are planned, jumps, the median of motion, median and longest time."""
+    """Cells of a table: how many are planned, how many of the others are out of reach, jumps, motion and time."""
     good = [row for row in rows if row["planned"]]
     motion = f"{np.median([row['motion'] for row in good]):.2f}" if good else ""
     times = [row["seconds"] for row in rows]
     jumps = sum(row["jumps"] for row in good)
-    return f"{len(good)} of {len(rows)} | {jumps} | {motion} | {np.median(times):.2f} | {max(times):.2f} |"
+    far = sum(row.get("out_of_reach", 0) > 0 for row in rows)
+    beyond = f" ({far} out of reach)" if far else ""
+    return f"{len(good)} of {len(rows)}{beyond} | {jumps} | {motion} | {np.median(times):.2f} | {max(times):.2f} |"
 
 
 def shown(name: str, lines: list[str], write: bool) -> None:

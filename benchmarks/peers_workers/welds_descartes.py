@@ -63,10 +63,16 @@ def main() -> None:
             print(json.dumps(solved(world, poses, given["step"])), flush=True)
 
 
-def solved(world: environment.Environment, poses: list[list[float]], step: float) -> dict[str, object]:
-    """Joints at poses."""
+def solved(
+    world: environment.Environment,
+    poses: list[list[float]],
+    step: float | None,
+    tip: str = "torch",
+    base: str = "base_link",
+) -> dict[str, object]:
+    """Joints at poses; the roll is free in steps of so much, or fixed."""
     arm = common.ManipulatorInfo()
-    arm.manipulator, arm.tcp_frame, arm.working_frame = "arm", "torch", "base_link"
+    arm.manipulator, arm.tcp_frame, arm.working_frame = "arm", tip, base
     program = language.CompositeInstruction("WELD")
     program.setManipulatorInfo(arm)
     for z in poses:
@@ -80,10 +86,11 @@ def solved(world: environment.Environment, poses: list[list[float]], step: float
     profile = descartes.DescartesDefaultPlanProfileD()
     profile.enable_collision = profile.enable_edge_collision = False
     profile.allow_collision = True
-    profile.target_pose_fixed = False
-    profile.target_pose_sample_axis = np.array([0.0, 0.0, 1.0])
-    profile.target_pose_sample_resolution = step
-    profile.target_pose_sample_min, profile.target_pose_sample_max = -np.pi, np.pi - step
+    profile.target_pose_fixed = step is None
+    if step is not None:
+        profile.target_pose_sample_axis = np.array([0.0, 0.0, 1.0])
+        profile.target_pose_sample_resolution = step
+        profile.target_pose_sample_min, profile.target_pose_sample_max = -np.pi, np.pi - step
     profile.use_redundant_joint_solutions = False
     profiles = language.ProfileDictionary()
     profiles.addProfile("Descartes", "WELD", descartes.cast_DescartesPlanProfileD(profile))

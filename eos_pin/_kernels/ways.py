@@ -127,14 +127,13 @@ def _relaxed_all(value: Array, steps: Steps, count: int) -> tuple[Array, Array]:
     out, via = np.full((S, count), np.inf), np.full((S, count), -1, dtype=np.int32)
     if not len(steps.end):
         return out, via
-    total = value[:, steps.start] + steps.cost
+    # A row for each step: minima of neighbouring rows are the fastest ones.
+    total = value.T[steps.start] + steps.cost[:, None]
     ends, first = np.unique(steps.end, return_index=True)
-    sizes = np.diff(np.append(first, len(steps.end)))
-    # Every posture has few steps that lead to it: a table of them, filled up with the first.
-    width = int(sizes.max())
-    table = first[:, None] + np.where(np.arange(width) < sizes[:, None], np.arange(width), 0)
-    options = total[:, table]
-    best = options.argmin(axis=2)
-    out[:, ends] = np.take_along_axis(options, best[:, :, None], axis=2)[:, :, 0]
-    via[:, ends] = steps.start[table[np.arange(len(ends)), best]]
+    best = np.minimum.reduceat(total, first, axis=0)
+    # The first step of those that reach the least cost.
+    reached = total == np.repeat(best, np.diff(np.append(first, len(steps.end))), axis=0)
+    number = np.arange(len(steps.end), dtype=np.int32)[:, None]
+    chosen = np.minimum.reduceat(np.where(reached, number, number[-1]), first, axis=0)
+    out[:, ends], via[:, ends] = best.T, steps.start[chosen].T
     return out, via

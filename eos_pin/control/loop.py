@@ -192,15 +192,15 @@ class ControlLoop:
             given: Any = t
             t = given if isinstance(given, float) else number(given, "t")
             seen = self._look(t, q, dq)
-        when, q_now, dq_now = (t, seen, dq) if self._middle is None else self._middle(t, seen, dq)  # type: ignore[arg-type]
-        tau, self.state = self._controller._step(when, q_now, dq_now, self.state)  # type: ignore[arg-type]
+        middle, given = self._middle, (t, seen, dq, self.state)
+        tau, self.state = self._controller._step(*given) if middle is None else middle.step(self._controller, *given)
         self.saturated = False
         if self._ramp is not None:
             tau, self.slowed = self._ramp(t, seen, self._cut(t, tau))
         elif not within_limits_fast(tau, self._per_limit):
             tau = self._cut(t, tau)
-        if self._middle is not None:
-            self._middle.held(tau)
+        if middle is not None:
+            middle.held(tau)
         return tau
 
     def task_deficit(self, t: float, q: VectorLike, dq: VectorLike) -> TaskVector | None:

@@ -331,7 +331,10 @@ class Search:
                 grid.waypoint(row),
                 reached,
             )
-        reasons = "; ".join(dict.fromkeys(self.notes)) or "the search found none"
+        jump = "the joints would have to jump at "
+        at = [note.removeprefix(jump) for note in dict.fromkeys(self.notes) if note.startswith(jump)]
+        rest = [note for note in dict.fromkeys(self.notes) if not note.startswith(jump)]
+        reasons = "; ".join([*rest, *([jump + ", or at ".join(at[:3])] if at else [])]) or "the search found none"
         kind = "closed motion" if grid.closed else "motion"
         helps = self._helps(changes_for(problem, (), self.reconfigurations), spent)
         return PlanError(

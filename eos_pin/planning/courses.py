@@ -1,13 +1,15 @@
-"""Joints at all points of a path from joints at some of them, and mended where limits or distances are broken."""
+"""Joints along a path: ways through layers without jumps, all points from some, mended where limits are broken."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from eos_pin._arrays import Array
+from eos_pin._kernels.ways import Steps
 from eos_pin.planning.grid import Grid
 from eos_pin.planning.problem import Problem
 from eos_pin.planning.refine import NEAR, SMALL, Barrier, Course, descended
@@ -16,6 +18,12 @@ from eos_pin.planning.refine import NEAR, SMALL, Barrier, Course, descended
 ROOM, CLEAR, WITHIN = 2e-3, 2e-3, 0.97
 #: Weights of the cost beside what is broken, round by round.
 SHARES = (1e-2, 1e-3, 1e-4)
+#: Longer steps are looked at in so many pieces.
+LONG, PIECES = 0.7, 8
+#: Most searches for ways, each without the steps that the one before turned out to jump with.
+SEARCHES = 12
+#: Longest step of refined joints that is no jump [rad, scaled].
+FAR = 1.5
 #: Largest correction of a joint where the path is filled in [rad or m].
 CORRECTION = 0.35
 
@@ -72,7 +80,9 @@ def broken_at(problem: Problem, q: Float[Array, "L n"], between: Float[Array, "L
     q, between = q[: len(following)], between[: len(following)]
     middle = 0.5 * (q + following).T
     on, found = problem.manifold.project(middle, between.T, iterations=10)
-    wrong = ~is_near(on, found, middle, (following - q).T)
+    motion = (following - q).T
+    # A step so long may lead over a limit, or to another branch.
+    wrong = ~is_near(on, found, middle, motion) | (np.abs(motion) > FAR * problem.scale[:, None]).any(axis=0)
     return int(wrong.argmax()) if wrong.any() else None
 
 
@@ -188,3 +198,85 @@ def _broken(course: Course, q: Array) -> tuple[str, int]:
             int(row),
         )
     return "the motion is not continuous", 0
+
+
+def unbroken(
+    problem: Problem,
+    find: Callable[[], list[Array]],
+    nodes: list[Array],
+    steps: list[Steps],
+    between: Float[Array, "L size"],
+    motion: Callable[[Array, Array], Array] = lambda a, b: b - a,
+    home: Callable[[Array], Array] = lambda Q: Q,
+) -> list[Array]:
+    """Ways that do not jump: joints halfway along each step are near the manifold there, along long ones allowed, too.
+
+    Close to a singularity branches nearly meet, and steps lead from one to the other. Such steps are left out, and the
+    ways are searched for again.
+
+    Args:
+        problem: The problem.
+        find: Searches for the best ways through the layers by their steps.
+        nodes: Postures of the layers.
+        steps: Steps from each layer to the next; those that jump are taken out.
+        between: Task points halfway along them.
+        motion: Motion from postures to others.
+        home: Turns postures by whole turns to where limits are looked at.
+    """
+
+    def continuous(a: Array, b: Array, Z: Array) -> Bool[Array, " K"]:
+        way = motion(a, b)
+        middle = a + 0.5 * way
+        on, found = problem.manifold.project(middle, Z, iterations=10)
+        near = is_near(on, found, middle, way)
+        size = np.abs(way / problem.scale[:, None]).max(axis=0)
+        far = np.flatnonzero(near & (size > LONG))
+        if len(far):
+            near[far] = led(problem, a[:, far], way[:, far], Z if Z.shape[1] == 1 else Z[:, far], home)
+        return near
+
+    L, found = len(steps), list[Array]()
+    for _ in range(SEARCHES):
+        found, broken = find(), np.zeros(L, bool)
+        for way in found:
+            broken |= ~continuous(way[:L].T, np.roll(way, -1, axis=0)[:L].T, between[:L].T)
+        if not broken.any():
+            break
+        for i in np.flatnonzero(broken).tolist():
+            start, end, cost = steps[i]
+            kept = continuous(nodes[i][:, start], nodes[(i + 1) % len(nodes)][:, end], between[i][:, None])
+            steps[i] = Steps(start[kept], end[kept], cost[kept])
+    return found
+
+
+def led(problem: Problem, a: Array, way: Array, Z: Array, home: Callable[[Array], Array]) -> Bool[Array, " K"]:
+    """Whether straight motions, put on the manifold, are continuous and allowed; arguments as in `unbroken`."""
+    led, before = np.ones(a.shape[1], bool), a
+    longest = (2.5 / PIECES) * np.abs(way / problem.scale[:, None]).max(axis=0)
+    for part in np.arange(1, PIECES) / PIECES:
+        on, found = problem.manifold.project(a + part * way, Z, iterations=10)
+        led &= found & (np.abs((on - before) / problem.scale[:, None]).max(axis=0) < longest)
+        led[led] = problem.allowed(home(on[:, led]), Z if Z.shape[1] == 1 else Z[:, led])
+        before = on
+    return led
+
+
+def connected(
+    problem: Problem, a: Array, b: Array, z: Array, home: Callable[[Array], Array] = lambda Q: Q
+) -> Bool[Array, " K"]:
+    """Whether postures of one task point are connected: halfway between them there is one, which is allowed.
+
+    Args:
+        problem: The problem: limits and costs.
+        a: Postures, (n, K).
+        b: As many others.
+        z: Task point.
+        home: Turns postures by whole turns to where limits are looked at.
+    """
+    middle = 0.5 * (a + b)
+    on, found = problem.manifold.project(middle, z[:, None], iterations=6, tol=1e-8)
+    scale = problem.scale[:, None]
+    apart, off = (np.abs(x / scale).max(axis=0) for x in (a - b, on - middle))
+    found &= off < 0.35 * apart
+    found[found] = problem.allowed(home(on[:, found]), z[:, None])
+    return found

@@ -11,12 +11,12 @@ from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from eos_pin._arrays import Array
 from eos_pin._kernels.ways import Steps, closed_ways, open_ways
-from eos_pin.planning.courses import is_near
+from eos_pin.planning.courses import connected, unbroken
 from eos_pin.planning.problem import Bar, Problem
 
 #: Longest self-motion between two layers, in radians.
@@ -27,8 +27,6 @@ NEIGHBOURS = 12
 INCOMING = 4
 #: Self-motion shorter than this is not looked at halfway.
 SHORT = 0.12
-#: Most searches for ways, each without the steps that the one before turned out to jump with.
-SEARCHES = 12
 #: Called with the number of layers done; it may raise to stop.
 Ticked: TypeAlias = Callable[[int], None]
 #: Odd numbers that make one of the coordinates of a cell.
@@ -320,66 +318,3 @@ class Layers:
         first = self.dt[0] * self.problem.cost(self.nodes[0])
         end = None if self.goal is None else 0
         return open_ways(self.nodes, self.steps, self.problem.scale, most, first, end=end, jumps=self.jumps)
-
-
-def unbroken(
-    problem: Problem,
-    find: Callable[[], list[Array]],
-    nodes: list[Array],
-    steps: list[Steps],
-    between: Float[Array, "L size"],
-    motion: Callable[[Array, Array], Array] = lambda a, b: b - a,
-) -> list[Array]:
-    """Ways that do not jump: joints halfway along each step are near the manifold there.
-
-    Close to a singularity branches nearly meet, and steps lead from one to the other. Such steps are left out, and the
-    ways are searched for again.
-
-    Args:
-        problem: The problem.
-        find: Searches for the best ways through the layers by their steps.
-        nodes: Postures of the layers.
-        steps: Steps from each layer to the next; those that jump are taken out.
-        between: Task points halfway along them.
-        motion: Motion from postures to others.
-    """
-
-    def continuous(a: Array, b: Array, Z: Array) -> Bool[Array, " K"]:
-        way = motion(a, b)
-        middle = a + 0.5 * way
-        on, found = problem.manifold.project(middle, Z, iterations=10)
-        return is_near(on, found, middle, way)
-
-    L, found = len(steps), list[Array]()
-    for _ in range(SEARCHES):
-        found, broken = find(), np.zeros(L, bool)
-        for way in found:
-            broken |= ~continuous(way[:L].T, np.roll(way, -1, axis=0)[:L].T, between[:L].T)
-        if not broken.any():
-            break
-        for i in np.flatnonzero(broken).tolist():
-            start, end, cost = steps[i]
-            kept = continuous(nodes[i][:, start], nodes[(i + 1) % len(nodes)][:, end], between[i][:, None])
-            steps[i] = Steps(start[kept], end[kept], cost[kept])
-    return found
-
-
-def connected(
-    problem: Problem, a: Array, b: Array, z: Array, home: Callable[[Array], Array] = lambda Q: Q
-) -> Bool[Array, " K"]:
-    """Whether postures of one task point are connected: halfway between them there is one, which is allowed.
-
-    Args:
-        problem: The problem: limits and costs.
-        a: Postures, (n, K).
-        b: As many others.
-        z: Task point.
-        home: Turns postures by whole turns to where limits are looked at.
-    """
-    middle = 0.5 * (a + b)
-    on, found = problem.manifold.project(middle, z[:, None], iterations=6, tol=1e-8)
-    scale = problem.scale[:, None]
-    apart, off = (np.abs(x / scale).max(axis=0) for x in (a - b, on - middle))
-    found &= off < 0.35 * apart
-    found[found] = problem.allowed(home(on[:, found]), z[:, None])
-    return found

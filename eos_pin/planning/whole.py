@@ -16,9 +16,10 @@ from eos_pin._arrays import Array
 from eos_pin._kernels.kinematics import Kinematics
 from eos_pin._kernels.ways import Steps, closed_ways
 from eos_pin.errors import SingularError
+from eos_pin.planning.courses import connected, unbroken
 from eos_pin.planning.manifolds.components import Component
 from eos_pin.planning.problem import TAU, Problem
-from eos_pin.planning.search import SHORT, Ticked, connected, unbroken
+from eos_pin.planning.search import SHORT, Ticked
 
 #: Distance of neighbouring postures along a component [rad].
 SPACING = 0.12
@@ -108,7 +109,7 @@ class WholeLayers:
         layers = [nodes[k] for k in order]
         found = unbroken(
             self.problem, lambda: closed_ways(layers, steps, self.problem.scale, most), layers, steps,
-            self.between[order], self._way,
+            self.between[order], self._way, self._home,
         )  # fmt: skip
         unrolled = (self._unrolled(np.roll(way, first, axis=0)) for way in found)
         return [way for way in unrolled if way is not None]

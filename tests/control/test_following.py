@@ -220,7 +220,7 @@ def test_torques_for_the_middle_of_their_period_keep_joints_on_the_plan(found, t
         )  # fmt: skip
         off[period, centred] = distances(found, run.t[run.t > 0.3], run.q[run.t > 0.3]).max()
     assert off[2e-3, True] < 0.02 * off[2e-3, False]
-    assert off[1e-3, True] < 1e-6
+    assert off[1e-3, True] < 4e-7
     assert 3.5 < off[2e-3, True] / off[1e-3, True] < 4.5
 
 

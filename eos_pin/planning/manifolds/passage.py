@@ -11,10 +11,10 @@ from jaxtyping import Float
 
 from eos_pin._arrays import Array, JointVector, Vector
 from eos_pin.errors import SingularError
+from eos_pin.planning.courses import connected
 from eos_pin.planning.manifolds.arcs import Arc, arc_joints, arcs_within, clear_arcs
 from eos_pin.planning.manifolds.components import Component
 from eos_pin.planning.problem import Problem
-from eos_pin.planning.search import connected
 
 #: Longest step of a joint from one posture of a motion to the next [rad].
 SPACING = 0.1

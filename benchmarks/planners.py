@@ -1,0 +1,167 @@
+"""Planners of other libraries on the paths of `following.py repeat`: `python benchmarks/planners.py [--json FILE]`.
+
+Closed paths of poses of arms with seven joints, on which a plan was found. roboplan's Cartesian planner begins at the
+same joints, and so does the search of KDL for Descartes (tesseract-robotics) at each way point: with one posture each,
+because there is no closed form of these arms. All joints are judged alike, by Pinocchio alone: they pass within 5 mm
+and 0.01 rad of every way point in their order (roboplan's own tolerances), keep limits, and no joint goes further than
+0.5 rad from one to the next. `peers.py setup roboplan tesseract` makes their environments.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import marked
+import numpy as np
+import pinocchio as pin
+from following import made
+from lxml import etree
+from peers import OTHERS, WORKERS, installed
+from setting import FAR
+
+from eos_pin import Plan
+from eos_pin.errors import EosError
+from eos_pin.robot.geometry import Shapes
+
+#: What counts as on the path [m, rad], a step that is a jump [rad], and joints that come back [rad].
+PLACE, TURN, JUMP, CLOSES = 5e-3, 1e-2, 0.5, 1e-3
+PLANNERS = {"plan": "`plan`", "roboplan": "roboplan, Cartesian planner", "tesseract": "Descartes, KDL"}
+
+
+def judged(model: pin.Model, frame: str, targets: np.ndarray, q: np.ndarray) -> dict[str, Any]:
+    """Whether joints pass all way points in order, and jumps, motion and limits on the way."""
+    data, number = model.createData(), model.getFrameId(frame)
+    poses = []
+    for row in q:
+        pin.framesForwardKinematics(model, data, row)
+        poses.append(data.oMf[number].homogeneous)
+    at, passed = 0, 0
+    for target in targets:
+        while at < len(poses):
+            place = np.linalg.norm(poses[at][:3, 3] - target[:3, 3])
+            if place <= PLACE and np.linalg.norm(pin.log3(poses[at][:3, :3].T @ target[:3, :3])) <= TURN:
+                passed += 1
+                break
+            at += 1
+    step = np.diff(q, axis=0)
+    jumps = int((np.abs(step).max(axis=1, initial=0.0) > JUMP).sum())
+    inside = bool(((q >= model.lowerPositionLimit - 1e-6) & (q <= model.upperPositionLimit + 1e-6)).all())
+    return {
+        "follows": passed == len(targets), "passed": passed, "inside": inside, "jumps": jumps,
+        "motion": float(np.linalg.norm(step, axis=1).sum()), "closes": float(np.abs(q[-1] - q[0]).max()),
+    }  # fmt: skip
+
+
+def asked(found: Plan) -> tuple[dict[str, Any], np.ndarray]:
+    """What other planners are given: the robot without shapes, the path's poses, and the joints at its start."""
+    robot = found.robot
+    assert isinstance(robot.shapes, Shapes)
+    root = etree.fromstring(
+        re.sub(r"<(visual|collision|transmission|gazebo)\b.*?</\1>", "", robot.shapes.urdf, flags=re.S)
+    )
+    for limit in root.iter("limit"):
+        for key, value in limit.items():
+            if abs(float(value)) > FAR and key in ("lower", "upper"):
+                limit.set(key, str(np.copysign(FAR, float(value))))
+    children = {child.get("link") for child in root.iter("child")}
+    base = next(link.get("name") for link in root.iter("link") if link.get("name") not in children)
+    points = [np.asarray(z) for z in found.path.points]  # type: ignore[attr-defined]
+    targets = np.repeat(np.eye(4)[None], len(points), axis=0)
+    for target, z in zip(targets, points, strict=True):
+        target[:3, 3], target[:3, :3] = z[:3], z[3:].reshape(3, 3)
+    given = {
+        "urdf": etree.tostring(root).decode(), "name": root.get("name"), "base": base,
+        "frame": robot.options["chain_to"], "joints": [joint.name for joint in robot.joints],
+        "q": found(found.start).q.tolist(), "targets": targets.tolist(),
+    }  # fmt: skip
+    return given, targets
+
+
+def compared(number: int, seed: int, names: list[str]) -> dict[str, Any]:
+    """One path by all planners."""
+    _, found, row = made(number, seed)
+    if isinstance(found, EosError):
+        return row | {"message": str(found)}
+    given, targets = asked(found)
+    model, frame = found.robot.model, str(found.robot.options["chain_to"])
+    row["plan"] = judged(model, frame, targets, found.at_waypoints()) | {"seconds": row["seconds"]}
+    for name in names:
+        done = subprocess.run(
+            [str(OTHERS[name].python), str(WORKERS / f"path_{name}.py")],
+            input=json.dumps(given), capture_output=True, text=True, timeout=300.0,
+        )  # fmt: skip
+        if done.returncode:
+            row[name] = {"message": (done.stderr.strip().splitlines() or ["no answer"])[-1]}
+            continue
+        reply = json.loads(done.stdout.splitlines()[-1])
+        q = np.array(reply.pop("q", []))
+        row[name] = reply | (judged(model, frame, targets, q) if len(q) else {})
+    return row
+
+
+def lines(rows: list[dict[str, Any]]) -> list[list[str]]:
+    """A row of the table for each planner."""
+    cells = []
+    for name, words in PLANNERS.items():
+        met = [row[name] for row in rows if name in row]
+        if not met:
+            continue
+        good = [m for m in met if m.get("follows") and m["inside"] and not m["jumps"]]
+        seconds = [m["seconds"] for m in met if "seconds" in m]
+        cells.append([
+            words, f"{len(good)} of {len(met)}", f"{sum(m['closes'] <= CLOSES for m in good)}",
+            str(sum(m.get("jumps", 0) for m in met)),
+            f"{np.median([m['motion'] for m in good]):.2f}" if good else "-",
+            f"{np.median(seconds):.2f}" if seconds else "-",
+        ])  # fmt: skip
+    return cells
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=20, help="paths on which a plan was found")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--write", action="store_true", help="write the table into docs/planning.md")
+    options = parser.parse_args()
+    names = []
+    for name in ("roboplan", "tesseract"):
+        there = installed(OTHERS[name])
+        print(f"{name}: {there}")
+        if not isinstance(there, str):
+            names.append(name)
+    rows: list[dict[str, Any]] = []
+    if options.json is not None and options.json.exists():
+        rows = json.loads(options.json.read_text())
+    number, done = 0, {row["number"] for row in rows}
+    while sum("plan" in row for row in rows) < options.count:
+        # Of four robots in turn the first three have seven joints; every second round of them has poses.
+        if number % 4 < 3 and (number // 4) % 2 == 1 and number not in done:
+            rows.append(compared(number, options.seed, names))
+            print(json.dumps(rows[-1])[:600], flush=True)
+            if options.json is not None:
+                options.json.write_text(json.dumps(rows, indent=1) + "\n")
+        number += 1
+    columns = [
+        "planner",
+        "follows within limits without a jump",
+        "of these closed",
+        "jumps",
+        "joint motion [rad]",
+        "time [s]",
+    ]
+    table = marked.table(columns, lines(rows))
+    print(table)
+    if options.write:
+        marked.fill(marked.PLANNING, "planners", f"\n\n{table}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
