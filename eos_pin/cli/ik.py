@@ -78,8 +78,9 @@ def ik(
     say_notes(machine)
     goal, q = task.make(machine)
     say_notes(goal)
-    if v and goal.m == machine.n:
-        raise InputError("--v does not apply: the task takes all joints (r = 0), there is no self-motion")
+    if goal.m == machine.n and (v or metric != "identity"):
+        option = "--v" if v else f"--metric {metric}"
+        raise InputError(f"{option} does not apply: the task takes all joints (r = 0), there is no self-motion")
     v_goal = vector(v, machine.n - goal.m, "v") if v else None
     found: JointPath | None
     if path is not None:

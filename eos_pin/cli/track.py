@@ -151,6 +151,8 @@ def compare(
     files = output.within(Path("runs") / f"{Path(robot.robot).stem}-compare", names=names)
     if len(set(controllers)) < len(controllers):
         raise InputError(f"each controller is compared once, got {', '.join(controllers)}")
+    if metric != "identity" and not {*controllers} & {*EOS, "impedance"}:
+        raise InputError(f"--metric {metric} does not apply: no controller here has charts; add eos")
     machine = robot.load()
     say_notes(machine)
     goal, q = task.make(machine)

@@ -147,6 +147,8 @@ REFUSED = [
     ("track ur5 --task pose --kp-self-motion 50", "no self-motion to command"),
     ("track ur5 --task pose --chart-margin 0.6", "no self-motion to command"),
     ("ik ur5 --task pose --v 0.1", "--v does not apply: the task takes all joints (r = 0)"),
+    ("ik ur5 --task pose --metric inertial", "--metric inertial does not apply: the task takes all joints (r = 0)"),
+    ("compare panda --controllers task-space --metric inertial", "--metric inertial does not apply"),
     *(
         (f"{command} panda {option}", "those of a sampled run; add --control-rate 1000")
         for command in ("track", "compare")
@@ -253,7 +255,7 @@ ALWAYS = {
     "json jobs",
     "info": f"{ROBOT} task q0 out json html plot view",
     "ik": f"{ROBOT} task q0 {FILES}",
-    "replay": f"run {FILES}",
+    "replay": f"runs {FILES}",
     "robots": "name out json",
     "demo": "robot html",
     "explore": f"{ROBOT} task q0 html",
