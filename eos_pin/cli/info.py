@@ -18,6 +18,7 @@ from eos_pin.cli.output import (
     grid,
     print_files,
     show,
+    task_words,
     write_outputs,
 )
 from eos_pin.errors import EosError, InputError, SingularError
@@ -76,7 +77,7 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
     lines = []
     if goal is not None:
         r = machine.n - goal.m
-        lines.append(f"Task: {goal!r}: m = {goal.m}, redundancy r = n - m = {r}")
+        lines.append(f"Task: {task_words(goal)}: m = {goal.m}, redundancy r = n - m = {r}")
         lines.append(f"Singular values of G' at the start: {', '.join(format_number(s) for s in found.sigma)}")
         lines += [_coupling_sentence(found.coupling)] if found.coupling else []
         lines += ["The task takes all joints (r = 0): there is no self-motion to command"] if r == 0 else []

@@ -21,7 +21,7 @@ from rich.text import Text
 
 from eos_pin._arrays import Array, JointVector
 from eos_pin._files import check_writable, write_atomically
-from eos_pin.cli.tables import fitted
+from eos_pin.cli.tables import drift_of_cycles, fitted
 from eos_pin.cli.tables import format_number as format_number
 from eos_pin.cli.terminal import shown, spell_output
 from eos_pin.errors import EosError, InputError
@@ -284,8 +284,13 @@ def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> T
 
 def title_of(robot: Robot, task: Task) -> str:
     """Robot and task in words, such as "panda: pose of panda_hand_tcp"."""
+    return f"{robot.name}: {task_words(task)}"
+
+
+def task_words(task: Task) -> str:
+    """Task in words, such as "pose of panda_hand_tcp"."""
     axes = f", {task.axes}" if task.kind == "position" and task.axes != "xyz" else ""
-    return f"{robot.name}: {task.kind or type(task).__name__}{f' of {task.frame}' if task.frame else ''}{axes}"
+    return f"{task.kind or type(task).__name__}{f' of {task.frame}' if task.frame else ''}{axes}"
 
 
 def run_table(summary: Mapping[str, Any]) -> Table:
@@ -304,7 +309,7 @@ def run_table(summary: Mapping[str, Any]) -> Table:
     table.add_row(f"task error, {settled}", f"{format_number(summary['task_error_max'])} {units}")
     nothing = "none: the task takes all joints (r = 0)" if summary["m"] and not summary["r"] else ""
     table.add_row(f"self-motion error, {settled}", nothing or format_number(summary["self_motion_error_max"]))
-    table.add_row("joint drift of a cycle", _drift(summary["joint_drift_per_cycle"]))
+    table.add_row("joint drift of a cycle", drift_of_cycles(summary["joint_drift_per_cycle"]))
     if any(summary["joint_turns_per_cycle"]):
         table.add_row("whole turns of a joint in a cycle, at most", str(max(summary["joint_turns_per_cycle"])))
     if summary["joint_distance"]:
@@ -333,14 +338,6 @@ def run_table(summary: Mapping[str, Any]) -> Table:
     return table
 
 
-def _drift(cycles: Sequence[float]) -> str:
-    """Drift of the first cycle, the largest of all, and that of the last."""
-    if len(cycles) < 3:
-        return ", ".join(map(format_number, cycles)) or "-"
-    first, worst, last = (format_number(cycles[i]) for i in (0, int(np.argmax(cycles)), -1))
-    return f"first {first}, worst {worst}, last {last}, of {len(cycles)}"
-
-
 def print_runs(title: str, what: str, summaries: Mapping[str, Mapping[str, Any]]) -> None:
     """Print a table of several runs by name, and a line for each that ended early or passed limits.
 
@@ -353,8 +350,9 @@ def print_runs(title: str, what: str, summaries: Mapping[str, Mapping[str, Any]]
     for name, summary in summaries.items():
         drift = summary["joint_drift_per_cycle"] or [math.nan]
         figures = ("kinetic_energy_mean", "torque_max", "limit_ratio_max")
-        errors = (summary["task_error_max"], drift[0], drift[-1])
-        rows.append((name, summary["status"], *errors, *(summary[figure] for figure in figures)))
+        rows.append(
+            (name, summary["status"], summary["task_error_max"], drift[0], drift[-1], *map(summary.get, figures))
+        )
     columns = ("task error", "first drift", "last drift", "mean energy", "max torque", "of limits")
     console.print(grid(title, (what, "status", *columns), rows))
     for name, summary in summaries.items():

@@ -21,6 +21,14 @@ def format_number(value: float | None) -> str:
     return "-" if value is None or math.isnan(value) else f"{value:.3g}"
 
 
+def drift_of_cycles(cycles: Sequence[float]) -> str:
+    """Drift of the first cycle, the largest of all, and that of the last."""
+    if len(cycles) < 3:
+        return ", ".join(map(format_number, cycles)) or "-"
+    first, worst, last = (format_number(cycles[i]) for i in (0, cycles.index(max(cycles)), -1))
+    return f"first {first}, worst {worst}, last {last}, of {len(cycles)}"
+
+
 def fitted(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], width: int) -> Table:
     """Table whose numbers stand right and whose words stand left; cells are shown as they stand, brackets and all.
 

@@ -51,7 +51,8 @@ def track(
 ) -> int:
     """Make a robot follow a path under EOS control; print, save and replay the run.
 
-    Files go to runs/ROBOT-TASK unless --out is given: run.npz, summary.json, replay.html, overview.png.
+    Files go to runs/ROBOT-TASK, or runs/ROBOT-PLAN, unless --out is given: run.npz, summary.json, replay.html,
+    overview.png.
 
     Args:
         robot: The robot.
@@ -75,7 +76,8 @@ def track(
     """
     check_options(task, path, control, simulation, seed=output.seed, plan=plan)
     names = {"json": "summary.json", "html": "replay.html", "plot": "overview.png"}
-    files = output.within(Path("runs") / f"{Path(robot.robot).stem}-{task.task}", names=names)
+    folder = Path("runs") / f"{Path(robot.robot).stem}-{plan.stem if plan else task.task}"
+    files = output.within(folder, names=names)
     machine = robot.load()
     say_notes(machine)
     solids = obstacles_in(scene)

@@ -13,7 +13,8 @@ import tyro
 from eos_pin import Atlas, Chart, PositionTask, Robot, plan
 from eos_pin.cli.info import command_words
 from eos_pin.cli.main import main
-from eos_pin.cli.output import _drift, console, print_runs, run_table
+from eos_pin.cli.output import console, print_runs, run_table
+from eos_pin.cli.tables import drift_of_cycles
 from eos_pin.experiments.options import RobotOptions, TaskOptions
 from eos_pin.simulation.result import Result
 
@@ -57,9 +58,9 @@ def run(panda: Robot) -> Result:
 
 
 def test_drift_of_many_cycles_is_first_worst_and_last() -> None:
-    assert _drift([]) == "-"
-    assert _drift([0.5, 0.25]) == "0.5, 0.25"
-    assert _drift([0.5, 2.0, *[0.25] * 398]) == "first 0.5, worst 2, last 0.25, of 400"
+    assert drift_of_cycles([]) == "-"
+    assert drift_of_cycles([0.5, 0.25]) == "0.5, 0.25"
+    assert drift_of_cycles([0.5, 2.0, *[0.25] * 398]) == "first 0.5, worst 2, last 0.25, of 400"
 
 
 @pytest.mark.parametrize("width", WIDTHS)
