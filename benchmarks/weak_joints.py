@@ -337,8 +337,8 @@ def divided_steps(seed: int) -> list[float]:
         steps = [np.abs(np.diff(way[:: PARTS[-1] // parts], axis=0)).max() for parts in PARTS]
         # A jump is still there where the steepest part is divided on and on.
         while marks[1] - marks[0] > NARROW:
-            changes = np.abs(np.diff(way, axis=0)).max(axis=1)
-            marks = np.linspace(*marks[[changes.argmax(), changes.argmax() + 1]], 9)
+            steepest = int(np.abs(np.diff(way, axis=0)).max(axis=1).argmax())
+            marks = np.linspace(float(marks[steepest]), float(marks[steepest + 1]), 9)
             way = np.array([torque(part) for part in marks])
         largest = np.maximum(largest, [*steps, np.abs(np.diff(way, axis=0)).max()])
     return largest.tolist()
