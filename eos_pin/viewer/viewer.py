@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import gzip
 import importlib.util
-import os
 import time
 import webbrowser
 from collections.abc import Callable, Sequence
@@ -24,6 +23,7 @@ from jaxtyping import Float
 from eos_pin._arrays import (
     Array,
     JointVector,
+    Positive,
     Vector,
     VectorLike,
     checked,
@@ -42,7 +42,7 @@ Self = TypeVar("Self", bound="Served")
 
 @checked
 def write_html(
-    path: str | os.PathLike[str], scene: Scene, t: VectorLike, q: Float[np.ndarray, "k n"], *, fps: float = 30.0
+    path: str | Path, scene: Scene, t: VectorLike, q: Float[np.ndarray, "k n"], *, fps: Positive = 30.0
 ) -> Path:
     """Write a motion as one HTML file that plays from disk, offline, in any current browser.
 
