@@ -139,8 +139,9 @@ def test_page_that_is_kept_has_every_peer() -> None:
 
 def test_peers_have_workers() -> None:
     scripts = {path.name for path in peers.WORKERS.glob("with_*.py")}
-    own = {"with_eos_pin.py", "with_pinocchio.py", *(peer.worker.name for peer in peers.OTHERS.values())}
-    assert scripts == own | {peer.worker.name for peer in peers.PEERS.values()}
+    timed = {"with_eos_pin.py", "with_pinocchio.py", *(peer.worker.name for peer in peers.PEERS.values())}
+    # Planners have workers of another kind.
+    assert timed <= scripts <= timed | {peer.worker.name for peer in peers.OTHERS.values()}
 
 
 def test_page_is_honest_about_who_is_faster() -> None:

@@ -289,8 +289,10 @@ def title_of(robot: Robot, task: Task) -> str:
 
 def task_words(task: Task) -> str:
     """Task in words, such as "pose of panda_hand_tcp"."""
+    if not task.kind:
+        return str(task)
     axes = f", {task.axes}" if task.kind == "position" and task.axes != "xyz" else ""
-    return f"{task.kind or type(task).__name__}{f' of {task.frame}' if task.frame else ''}{axes}"
+    return f"{task.kind}{f' of {task.frame}' if task.frame else ''}{axes}"
 
 
 def run_table(summary: Mapping[str, Any]) -> Table:
