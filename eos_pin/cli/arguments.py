@@ -11,6 +11,8 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 #: What an option without a value has for a default.
 UNSET = "unset"
+#: Markers that not every tyro has.
+NEWER = "DisallowNone", "PositionalMetavarFromFieldName"
 
 
 class Registry(ConstructorRegistry):
@@ -39,9 +41,9 @@ def _told(written: Callable[[Any], list[str]]) -> Callable[[Any], list[str]]:
     return lambda value: [UNSET] if value is None or value in ("", ()) else written(value)
 
 
-#: Options are called as they are, nothing is given as `None`, and positional arguments have names instead of types.
+#: Options are called as they are, nothing is given as `None`, and positional arguments have names instead of types; an
+#: older tyro shows both as it does by default.
 STYLE = (
     tyro.conf.OmitArgPrefixes,
-    tyro.conf.DisallowNone,
-    *(getattr(tyro.conf, name) for name in ("PositionalMetavarFromFieldName",) if hasattr(tyro.conf, name)),
+    *(getattr(tyro.conf, name) for name in NEWER if hasattr(tyro.conf, name)),
 )
