@@ -15,26 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from tesseract_robotics import tesseract_common as common
 from tesseract_robotics import tesseract_environment as environment
-from welds_descartes import libraries, solved
-
-SRDF = """<?xml version="1.0"?><robot name="{name}" version="1.0.0">
-<group name="arm"><chain base_link="{base}" tip_link="{tip}"/></group>
-<kinematics_plugin_config filename="file://{folder}/kinematics.yaml"/>
-</robot>"""
-PLUGINS = """kinematic_plugins:
-  search_paths: [{libraries}]
-  search_libraries: [{names}]
-  fwd_kin_plugins:
-    arm:
-      default: Forward
-      plugins:
-        Forward: {{class: KDLFwdKinChainFactory, config: {{base_link: {base}, tip_link: {tip}}}}}
-  inv_kin_plugins:
-    arm:
-      default: Inverse
-      plugins:
-        Inverse: {{class: KDLInvKinChainLMAFactory, config: {{base_link: {base}, tip_link: {tip}}}}}
-"""
+from welds_descartes import PLUGINS, SRDF, libraries, solved
 
 
 def shifted(urdf: str, zero: dict[str, float]) -> str:
@@ -82,7 +63,9 @@ def main() -> None:
     given = json.load(sys.stdin)
     ends = {"base": given["base"], "tip": given["frame"]}
     with tempfile.TemporaryDirectory() as folder:
-        plugins = PLUGINS.format(**libraries("kinematics_kdl_factories"), **ends)
+        plugins = PLUGINS.format(
+            **libraries("kinematics_kdl_factories"), **ends, inverse="KDLInvKinChainLMAFactory", more=""
+        )
         (Path(folder) / "kinematics.yaml").write_text(plugins)
         world, locator = environment.Environment(), common.GeneralResourceLocator()
         urdf = shifted(given["urdf"], dict(zip(given["joints"], given["q"], strict=True)))

@@ -24,7 +24,7 @@ from tesseract_robotics import tesseract_motion_planners_descartes as descartes
 
 LIBRARIES = Path(tesseract_robotics.__file__).parent.parent / "tesseract_robotics.libs"
 SRDF = """<?xml version="1.0"?><robot name="{name}" version="1.0.0">
-<group name="arm"><chain base_link="base_link" tip_link="tool0"/></group>
+<group name="arm"><chain base_link="{base}" tip_link="{tip}"/></group>
 <kinematics_plugin_config filename="file://{folder}/kinematics.yaml"/>
 </robot>"""
 PLUGINS = """kinematic_plugins:
@@ -34,13 +34,15 @@ PLUGINS = """kinematic_plugins:
     arm:
       default: Forward
       plugins:
-        Forward: {{class: KDLFwdKinChainFactory, config: {{base_link: base_link, tip_link: tool0}}}}
+        Forward: {{class: KDLFwdKinChainFactory, config: {{base_link: {base}, tip_link: {tip}}}}}
   inv_kin_plugins:
     arm:
       default: Inverse
       plugins:
-        Inverse: {{class: URInvKinFactory, config: {{base_link: base_link, tip_link: tool0, model: UR5}}}}
+        Inverse: {{class: {inverse}, config: {{base_link: {base}, tip_link: {tip}{more}}}}}
 """
+#: Base and tip of the UR5's arm.
+ENDS = {"base": "base_link", "tip": "tool0"}
 
 
 def libraries(*words: str) -> dict[str, object]:
@@ -55,10 +57,11 @@ def main() -> None:
     match = re.search(r'<robot[^>]*name="(.*?)"', urdf)
     assert match
     with tempfile.TemporaryDirectory() as folder:
-        kinematics = PLUGINS.format(**libraries("kinematics_kdl_factories", "kinematics_ur_factory"))
+        found = libraries("kinematics_kdl_factories", "kinematics_ur_factory")
+        kinematics = PLUGINS.format(**found, **ENDS, inverse="URInvKinFactory", more=", model: UR5")
         (Path(folder) / "kinematics.yaml").write_text(kinematics)
         world = environment.Environment()
-        assert world.init(urdf, SRDF.format(name=match[1], folder=folder), common.GeneralResourceLocator())
+        assert world.init(urdf, SRDF.format(name=match[1], folder=folder, **ENDS), common.GeneralResourceLocator())
         for poses in given["curves"]:
             print(json.dumps(solved(world, poses, given["step"])), flush=True)
 
