@@ -113,7 +113,7 @@ def couplings(robot: Robot, states: Sequence[tuple[Chart, JointVector]]) -> dict
     values = []
     for chart, q in states[:: 1 + len(states) // COUPLINGS]:
         with suppress(EosError):  # on the edge of a chart there is none, nor without inertia
-            if chart.r:
+            if chart.r and not chart.task.moves:
                 values.append(ExtendedDynamics.from_state(robot, chart, q, np.zeros(q.size)).coupling)
     return {"median": float(np.median(values)), "max": max(values)} if values else None
 

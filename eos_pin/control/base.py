@@ -253,6 +253,8 @@ class TaskController(Controller):
     """
 
     given_up = Renamed("task_deficit")
+    #: Whether the task is told the time before it is evaluated.
+    _tells_time = False
 
     @checked
     def __init__(
@@ -266,6 +268,8 @@ class TaskController(Controller):
         gravity: bool = True,
     ) -> None:
         task.robot.check_dynamics()
+        if not self._tells_time:
+            task.check_still(type(self).__name__)
         self._version, self._model = object(), task.robot
         self.robot: Robot = task.robot
         self.task: Task = task

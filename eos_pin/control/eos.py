@@ -72,6 +72,7 @@ class EosController(TaskController):
     """
 
     observe = Renamed("evaluate")
+    _tells_time = True
 
     @checked
     def __init__(
@@ -115,6 +116,7 @@ class EosController(TaskController):
         self.renew()
 
     def start(self, t: float, q: JointVector, dq: JointVector) -> EosState:
+        self.task._set_time(t)
         chart = self.atlas.start(q)
         self._check_objective(t, q, dq, chart)
         return self._memory(chart, 0)
@@ -184,6 +186,7 @@ class EosController(TaskController):
             status, ddq, margin, J = state.law(q, dq, z_d, dz_d, ddz_d, more)
             if status == DONE:
                 return ddq, margin, J
+        self.task._set_time(t)
         point = self.task._at(q, dq)
         F = self._asked(t, q, dq, state.chart, point)
         if more is not None:
@@ -220,9 +223,11 @@ class EosController(TaskController):
             point = self.task._at(q, dq)
             singular = self._task_acceleration(t, point) - J.dot(ddq) - point.drift
         limited = self._rest if change is self._unchanged else -J.dot(change)
-        return ControlReport(asked if tau is None else tau, self.task._value(q), J.dot(dq), singular, limited)
+        dz = self.task._at(q, dq).dz if self.task.moves else J.dot(dq)
+        return ControlReport(asked if tau is None else tau, self.task._value(q), dz, singular, limited)
 
     def validity(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> float:
+        self.task._set_time(t)
         _, J = self.task._linearize(q)
         state = self._current(state)
         try:
@@ -234,6 +239,7 @@ class EosController(TaskController):
 
     def update(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> EosState:
         q = state.chart._unwrap(q)
+        self.task._set_time(t)
         try:
             chart = self.atlas.next(state.chart, q)
         except SingularError:

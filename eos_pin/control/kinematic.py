@@ -32,7 +32,7 @@ from eos_pin.control._velocity_box import VelocityBox, compiled_step, part_withi
 from eos_pin.control.eos import law_for
 from eos_pin.control.limited import JointLimits
 from eos_pin.control.objectives import Objective
-from eos_pin.control.state import EosState, KinematicState
+from eos_pin.control.state import EosState, KinematicState, Solved
 from eos_pin.errors import InputError, SingularError, StateError
 from eos_pin.tasks.base import Point, Task
 from eos_pin.trajectories.base import Target, Trajectory, check_reference
@@ -61,16 +61,6 @@ class Command(NamedTuple):
 
     q: JointVector
     dq: JointVector
-
-
-class _Solved(NamedTuple):
-    """Joint acceleration of the law at one pace, its chart, whether no direction fades, and the goals."""
-
-    a: JointVector
-    on: EosState
-    limitless: bool
-    goal: Point
-    v_d: SelfTargets
 
 
 class KinematicLoop:
@@ -264,6 +254,7 @@ class KinematicLoop:
 
     def _begun(self, t: float, q: JointVector) -> KinematicState:
         """State at rest at q, on a chart based there."""
+        self.task._set_time(t)
         chart = self.atlas.start(q)
         self.self_motion.check_start(t, q, chart)
         z, rest = self.task._value(q), np.zeros(q.size)
@@ -297,7 +288,6 @@ class KinematicLoop:
         """State after the step at time t."""
         task, h, q, u, r = self.task, self._period, state.q, state.dq, self.robot.n - self.task.m
         known = state.reference is self.reference and abs(t - state.t - h) <= LATE * h
-        # Path time stays behind while the pace is less than 1.
         behind, pace = state.behind + (1.0 - state.pace) * (t - state.t), state.pace
         s = t - behind
         now, law = self._target(s), self.self_motion._sampled_targets(s, h, h * pace, r)
@@ -309,12 +299,14 @@ class KinematicLoop:
         # Errors of directions are in the axes of the target, where they are added to the next one.
         error = a1 * task._minus(state.z, now.z) - a2 * task._minus(state.z_before, z_d_before)
         p = q + h * u
-        z_p, J = task._linearize(p)
 
-        def solved(pace: float) -> _Solved:
+        def solved(pace: float) -> Solved:
+            # A task that moves goes by the time of the path.
+            task._set_time(s + h * pace)
+            z_p, J = task._linearize(p)
             goal = task._plus(self._target(s + h * pace).z, error)
             v_d = self.self_motion._sampled_targets(s, h, h * pace, r)
-            return _Solved(*self._acceleration(t, state, v_d, J, task._minus(goal, z_p) / h**2), goal, v_d)
+            return Solved(*self._acceleration(t, state, v_d, J, task._minus(goal, z_p) / h**2), J, goal, v_d)
 
         least, most = self._box(q, u)
         least, most = (least - u) / h, (most - u) / h
@@ -325,7 +317,7 @@ class KinematicLoop:
             part = part_within(found.a, other.a, least, most)
             pace = self.pace if part == 1.0 and abs(self.pace - pace) <= h * PACE_RATE else pace + part * gain
             found = solved(pace)
-        a, on, limitless, goal, v_d = found
+        a, on, limitless, J, goal, v_d = found
         limited = bool(((a < least) | (a > most)).any())
         if limited:
             a = a + self._change(J, least - a, most - a)

@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eos_pin._arrays import JointVector, SelfMotionVector, TaskVector
+from eos_pin._arrays import Jacobian, JointVector, SelfMotionVector, TaskVector
 from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import AccelerationMap
+from eos_pin.control._sampled_law import SelfTargets
 from eos_pin.errors import StateError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Point
@@ -110,3 +111,14 @@ class KinematicState(NamedTuple):
                 f"command, more than {most_lag:.3g}; the robot does not follow. reset() the loop to begin where it is"
             )
         return self._replace(measured=q, lag=float(away[joint]))
+
+
+class Solved(NamedTuple):
+    """Joint acceleration of the law at one pace, its chart, whether no direction fades, Jacobian, and the goals."""
+
+    a: JointVector
+    on: EosState
+    limitless: bool
+    J: Jacobian
+    goal: Point
+    v_d: SelfTargets

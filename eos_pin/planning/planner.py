@@ -103,6 +103,7 @@ def plan(
     """
     began = time.perf_counter()
     progress = partial(called, "progress", progress)
+    task.check_still("plan")
     grid = grid_of(task, path, closed=closed, times=times)
     problem = problem_of(
         Manifold(task), scene, bodies, self_collision, clearance, margin, limits, cost, weights, start, allow_winding

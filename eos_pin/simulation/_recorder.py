@@ -97,7 +97,7 @@ class Recorder:
             return
         self._next += self._next < len(self.times) and t >= self.times[self._next]
         system = self.system
-        q, dq = system.joints(np.array(x))
+        q, dq = system.joints(t, np.array(x))
         report = system.controller._evaluate(t, q, dq, system.state, tau)
         tau = report.tau
         ddq, _ = system.accelerate(t, q, dq, tau)
@@ -128,7 +128,7 @@ class Recorder:
         info = provenance() | {
             "robot": _record(plant),
             "limits": limits_of(plant),
-            "task": task.describe() if task else None,
+            "task": _description(task) if task else None,
             "force_task": force.task.describe() if force else None,
             "controller": controller.describe(),
             "coupling": couplings(plant, [(row.chart, row.q) for row in self._rows if row.chart]),
@@ -268,6 +268,11 @@ def uninterrupted(result: Result) -> Result:
     return result
 
 
+def _description(task: Task) -> dict[str, Any]:
+    """Plain values of a task, and a mark if it moves: its motion is none of them."""
+    return task.describe() | ({"moves": True} if task.moves else {})
+
+
 def joint_run(
     task: Task,
     t: VectorLike,
@@ -304,17 +309,20 @@ def joint_run(
     speeds, moving = still if dq is None else dq, dq is not None
     v = np.zeros((len(t), 0)) if v is None else v
     chart = np.zeros(len(t), dtype=np.int64) if chart is None else chart
-    reached = np.array([task._value(row) for row in q]).reshape(len(t), task.size)
+    reached = np.array([task._set_time(now)._value(row) for now, row in zip(t.tolist(), q, strict=True)])
+    reached = reached.reshape(len(t), task.size)
     error = np.full((len(t), task.m), math.nan)
     if np.isfinite(z).all():
         error = np.array([task._minus(a, b) for a, b in zip(z, reached, strict=True)]).reshape(len(t), task.m)
     none = np.zeros_like(error)
-    origin = {"robot": _record(robot), "task": task.describe(), "controller": {"kind": "Kinematics"}, "arguments": {}}
+    origin = {"robot": _record(robot), "task": _description(task), "arguments": {}}
+    origin["controller"] = {"kind": "Kinematics"}
     origin["limits"] = limits_of(robot, moving=moving)
     dz, energy = none, rest
     if moving:
         rows = list(zip(q, speeds, strict=True))
-        dz = np.array([task._at(*row).dz for row in rows]).reshape(error.shape)
+        dz = np.array([task._set_time(now)._at(*row).dz for now, row in zip(t.tolist(), rows, strict=True)])
+        dz = dz.reshape(error.shape)
         # Nobody knows the torques, nor their work.
         energy = (
             np.full(len(t), math.nan) if robot.lacks_dynamics else np.array([robot._kinetic_energy(*x) for x in rows])

@@ -101,8 +101,8 @@ class System(ABC):
         """Time derivative of the state; pure but for warm starts."""
 
     @abstractmethod
-    def joints(self, x: Vector) -> tuple[JointVector, JointVector]:
-        """Joints and joint velocities of a state."""
+    def joints(self, t: float, x: Vector) -> tuple[JointVector, JointVector]:
+        """Joints and joint velocities of a state at time t."""
 
     @abstractmethod
     def switch_function(self, t: float, x: Vector) -> float:
@@ -152,21 +152,21 @@ class JointSystem(System):
 
     def _own_step(self, t: float, x: Vector, tau: JointVector, h: float) -> Vector:
         """One step of the plant's own integrator, which holds task force and friction, too."""
-        q, dq = self.joints(x)
+        q, dq = self.joints(t, x)
         tau = self.acting(t, q, dq, tau)
         q_next, dq_next = cast(SteppingPlant, self.plant).advance(q, dq, tau, h)
         # The torque is constant, so its work needs no integral.
         return np.concatenate((q_next, dq_next, [x[-1] + tau.dot(q_next - q)]))
 
-    def joints(self, x: Vector) -> tuple[JointVector, JointVector]:
+    def joints(self, t: float, x: Vector) -> tuple[JointVector, JointVector]:
         n = self.plant.n
         return x[:n], x[n : 2 * n]
 
     def switch_function(self, t: float, x: Vector) -> float:
-        return self.controller._validity(t, *self.joints(x), self.state)
+        return self.controller._validity(t, *self.joints(t, x), self.state)
 
     def switch(self, t: float, x: Vector) -> Vector:
-        self.state = self.controller._update(t, *self.joints(x), self.state)
+        self.state = self.controller._update(t, *self.joints(t, x), self.state)
         return x
 
 
@@ -189,19 +189,20 @@ class ExtendedSystem(System):
 
     def begin(self, q: JointVector, dq: JointVector) -> Vector:
         self.state = self.controller._start(0.0, q, dq)
+        self.atlas.task._set_time(0.0)
         self.chart = self.atlas.start(q)
         return self._enter(dq, 0.0)
 
     def _enter(self, dq: JointVector, work: float) -> Vector:
         chart, task = self.chart, self.atlas.task
         self._near = Inverse(chart.q_bar, np.zeros(chart.m), chart.B_bar, 0, 0.0)
-        dz = task._linearize(chart.q_bar)[1] @ dq
+        dz = task._at(chart.q_bar, dq).dz
         return np.concatenate((np.zeros(chart.m), chart.v_bar, dz, chart._dv(dq), [work]))
 
     def rhs(self, t: float, x: Vector) -> Vector:
         chart, task = self.chart, self.atlas.task
         n, m = chart.n, chart.m
-        q, dq = self.joints(x)
+        q, dq = self.joints(t, x)
         ddq, power = self.accelerate(t, q, dq, self.controller._torque(t, q, dq, self.state))
         point = task._at(q, dq)
         dx = np.empty(2 * n + 1)
@@ -214,12 +215,13 @@ class ExtendedSystem(System):
         dx[-1] = power
         return dx
 
-    def joints(self, x: Vector) -> tuple[JointVector, JointVector]:
-        q = self._inverse(x).q
+    def joints(self, t: float, x: Vector) -> tuple[JointVector, JointVector]:
         chart, task = self.chart, self.atlas.task
-        n, m = chart.n, chart.m
-        # dq = H dw without H: [G'; Wᵀ] dq = dw
-        return q, chart._acceleration(task._linearize(q)[1], x[n : n + m], x[n + m : 2 * n])
+        task._set_time(t)
+        q, (n, m) = self._inverse(x).q, (chart.n, chart.m)
+        # dq = H dw without H: [G'; Wᵀ] dq = dw, less what the task moves by itself.
+        dz = x[n : n + m] - task._at(q, np.zeros(n)).dz if task.moves else x[n : n + m]
+        return q, chart._acceleration(task._linearize(q)[1], dz, x[n + m : 2 * n])
 
     def _inverse(self, x: Vector) -> Inverse:
         m, n = self.chart.m, self.chart.n
@@ -232,8 +234,9 @@ class ExtendedSystem(System):
 
     def switch_function(self, t: float, x: Vector) -> float:
         # Newton's method starts from the last state that was accepted, never from one that was only tried.
+        self.atlas.task._set_time(t)
         self._near = self._inverse(x)
-        q, dq = self.joints(x)
+        q, dq = self.joints(t, x)
         _, J = self.atlas.task._linearize(q)
         return min(
             self.chart._margin(J, enough=self.atlas.threshold) - self.atlas.threshold,
@@ -243,8 +246,9 @@ class ExtendedSystem(System):
         )
 
     def switch(self, t: float, x: Vector) -> Vector:
-        q, dq = self.joints(x)
+        q, dq = self.joints(t, x)
         if self.controller._validity(t, q, dq, self.state) <= 1e-9:
             self.state = self.controller._update(t, q, dq, self.state)
+        self.atlas.task._set_time(t)
         self.chart = self.atlas.next(self.chart, q)
         return self._enter(dq, x[-1])

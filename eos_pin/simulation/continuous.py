@@ -209,7 +209,7 @@ def _expired_at(system: System, solver: Any, dense: Any, margin: float) -> float
 
 def _check_speed(system: System, t: float, x: Vector) -> None:
     """End a run whose joints have run away, with the reason."""
-    q, dq = system.joints(x)
+    q, dq = system.joints(t, x)
     if dq.dot(dq) < TOO_FAST**2:
         return
     task = system.controller.task

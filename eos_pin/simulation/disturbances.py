@@ -43,7 +43,7 @@ class TaskForce(Checked):
     @checked
     def torque(self, t: float, q: JointVector) -> JointVector:
         """Joint torques G'ᵀF^z equivalent to the force [N m or N]."""
-        return self.task._linearize(q)[1].T @ vector_of("force of a TaskForce", self.task.m, self.force, t)
+        return self.task._set_time(t)._linearize(q)[1].T @ vector_of("force of a TaskForce", self.task.m, self.force, t)
 
     _torque = unchecked(torque)
 

@@ -152,6 +152,7 @@ def rate_control(task: Task, path: Trajectory, q: JointsLike, *, duration: float
         except np.linalg.LinAlgError:
             raise SingularError(f"the task is singular at t = {t:.4g} s; try a smaller path") from None
 
+    task.check_still("rate_control")
     number(rtol, "rtol", above=0.0)
     q = task.robot.posture(q, "q at the start")
     t = sample_times(duration, RATE, path.period)
@@ -172,6 +173,7 @@ def chart_following(task: Task, path: Trajectory, q: JointsLike, *, duration: fl
         duration: Length of the run [s].
         tol: Largest task error at each sample [m, rad].
     """
+    task.check_still("chart_following")
     t = sample_times(duration, RATE, path.period)
     check_run(task.robot.n, len(t), float(t[-1]), path)
     found = Atlas(task).follow(q, [path(s).z for s in t], tol=tol)

@@ -97,6 +97,7 @@ class Task(Checked, ABC):
         kernel: Object that computes `value`, `linearize` and `at` in one call; None where the hooks do.
         is_vector: Whether `minus` is z1 − z0.
         is_curved: Whether the axes of dz turn from point to point, so that `tracking_acceleration` compares velocities.
+        moves: Whether z depends on the time as well, see `set_time`.
         rotations: Where rotation matrices, row by row, begin in z; None where only `point` tells which numbers are a z.
     """
 
@@ -113,6 +114,7 @@ class Task(Checked, ABC):
     kernel: Any = None
     is_vector: bool = True
     is_curved: bool = False
+    moves: bool = False
     rotations: tuple[int, ...] | None = ()
     #: Whether the placements of all frames are computed before the hooks; the package's own tasks compute theirs.
     _needs_frames: bool = True
@@ -185,6 +187,16 @@ class Task(Checked, ABC):
         J = self._matrix(self._compute_jacobian(data))
         return _task_point((self._compute_point(data), J, J.dot(dq), self._compute_drift(data)))
 
+    @checked
+    def set_time(self, t: float) -> Task:
+        """Set the time of evaluations from here on, where the task `moves` [s]; 0 at first. Returns itself."""
+        return self
+
+    def check_still(self, user: str) -> None:
+        """Refuse a task that `moves` where `user` takes it for a function of the joints alone."""
+        if self.moves:
+            raise InputError(f"{user} needs a task that is at rest, {self!r} moves. Use EosController or KinematicLoop")
+
     def _matrix(self, J: Array) -> Jacobian:
         """J as a matrix; with one joint, Pinocchio's bindings return a vector instead of a column."""
         return J if J.ndim == 2 else J[:, None]
@@ -194,11 +206,7 @@ class Task(Checked, ABC):
     @abstractmethod
     @checked
     def compute_point(self, data: pin.Data) -> Point:
-        """Hook: task point z = G(q), (size,); Eq. (1).
-
-        Args:
-            data: Results of Pinocchio: here placements of joints and frames. A hook returns no views of it.
-        """
+        """Hook: task point z = G(q), (size,), no view of `data`, which has placements of joints and frames; Eq. (1)."""
 
     @abstractmethod
     @checked
@@ -212,12 +220,7 @@ class Task(Checked, ABC):
 
     @checked
     def frame_placement(self, data: pin.Data, frame: int) -> pin.SE3:
-        """Placement of a frame in the world, for hooks.
-
-        Args:
-            data: Argument of the hook.
-            frame: Number of the frame, from `robot.frame_id(name)`.
-        """
+        """Placement of the frame with the number `robot.frame_id(name)` in the world, for hooks."""
         return pin.updateFramePlacement(self._model, data, frame)
 
     @checked
@@ -313,10 +316,6 @@ class Task(Checked, ABC):
         """Distance from the target in each of the `bands`, in parts of its half width: vectors of length 1 at most.
 
         A band of a number has one component, that of a cone two.
-
-        Args:
-            z: Task points.
-            targets: Their targets.
         """
         return np.zeros((len(z), 0, 2))
 
@@ -374,6 +373,7 @@ class Task(Checked, ABC):
     _value = unchecked(value)
     _linearize = unchecked(linearize)
     _at = unchecked(at)
+    _set_time = unchecked(set_time)
     _minus = unchecked(minus)
     _plus = unchecked(plus)
     _local_rate = unchecked(local_rate)

@@ -50,6 +50,7 @@ class StackedTask(Task, kind="stacked"):
         # Its points begin with those of the first task.
         self.frame, self.axes, self.seen_from = tasks[0].frame, tasks[0].axes, tasks[0].seen_from
         self.is_curved = any(task.is_curved for task in tasks)
+        self.moves = any(task.moves for task in tasks)
         self._by_hooks = all(task._by_hooks for task in tasks)
         self._slices = []
         point = step = 0
@@ -84,6 +85,11 @@ class StackedTask(Task, kind="stacked"):
         if self._by_hooks:
             return super()._at(q, dq)
         return TaskPoint(*map(np.concatenate, zip(*(task._at(q, dq) for task in self.tasks), strict=True)))
+
+    def set_time(self, t: float) -> Task:
+        for task in self.tasks:
+            task._set_time(t)
+        return self
 
     def frame_parts(self) -> tuple[Part, ...] | None:
         parts = [task.frame_parts() for task in self.tasks]

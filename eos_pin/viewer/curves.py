@@ -168,7 +168,7 @@ def live_curves(robot: Robot, q: JointVector, follows: tuple[Task, Trajectory] |
         if follows is None:
             return []
         task, reference = follows
-        error = task.minus(reference(t).z, task.value(q))
+        error = task.minus(reference(t).z, task.set_time(t).value(q))
         return [float(np.linalg.norm(error[np.array(task.units) == unit])) for unit in kinds]
 
     joints = tuple(_joints(robot, q[:, None]))

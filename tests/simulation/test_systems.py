@@ -49,7 +49,7 @@ def systems(task, seed=5):
 def test_systems_describe_one_state_and_its_acceleration(panda, kind):
     task = TASKS[kind](panda)
     joint, y, extended, x = systems(task)
-    (q, dq), (q_w, dq_w) = joint.joints(y), extended.joints(x)
+    (q, dq), (q_w, dq_w) = joint.joints(0.0, y), extended.joints(0.0, x)
     np.testing.assert_allclose(q_w, q, atol=1e-11)
     np.testing.assert_allclose(dq_w, dq, atol=1e-10)
     dy, dx = joint.rhs(0.0, y), extended.rhs(0.0, x)
@@ -67,7 +67,7 @@ def test_systems_describe_one_state_and_its_acceleration(panda, kind):
 def test_local_coordinates_change_at_their_rate(panda, kind):
     task = TASKS[kind](panda)
     _, _, extended, x = systems(task)
-    q, dq = extended.joints(x)
+    q, dq = extended.joints(0.0, x)
     z_bar, m = extended.chart.z_bar, task.m
     later, before = (task.minus(task.value(q + s * dq), z_bar) for s in (STEP, -STEP))
     np.testing.assert_allclose(extended.rhs(0.0, x)[:m], (later - before) / (2.0 * STEP), atol=100 * DIFFERENCED)
@@ -110,10 +110,10 @@ def test_right_hand_sides_are_pure(panda, kind):
 @pytest.mark.parametrize("kind", TASKS)
 def test_switch_keeps_the_state_of_the_robot(panda, kind):
     _, _, extended, x = systems(TASKS[kind](panda))
-    (q, dq), old = extended.joints(x), extended.chart
+    (q, dq), old = extended.joints(0.0, x), extended.chart
     switched = extended.switch(0.0, x)
     assert extended.chart is not old
-    np.testing.assert_allclose(extended.joints(switched), (q, dq), atol=1e-10)
+    np.testing.assert_allclose(extended.joints(0.0, switched), (q, dq), atol=1e-10)
     np.testing.assert_allclose(extended.chart.v(q), old.v(q), atol=1e-12)
     assert switched[-1] == x[-1]
     assert extended.switch_function(0.0, switched) == pytest.approx(1.0 - extended.atlas.threshold)

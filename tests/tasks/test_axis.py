@@ -16,13 +16,20 @@ from eos_pin import (
     EosController,
     Hold,
     InputError,
+    KinematicLoop,
     LookAtTask,
+    OperationalSpaceController,
     PointAxisTask,
     Robot,
     SingularError,
+    circle,
+    inverse_kinematics,
     make_task,
+    plan,
     simulate,
     simulate_extended,
+    simulate_kinematic,
+    simulate_sampled,
 )
 from eos_pin._kernels.dispatch import kernels
 from eos_pin.trajectories.through import waypoint_path
@@ -169,6 +176,67 @@ def test_look_at_turns_the_axis_to_the_point(ur5):
     run = simulate(ur5, controller, q, duration=4.0, record_rate=1.0)
     end = ur5.placement(run.q[-1], "tool0")
     np.testing.assert_allclose(angle_between(end.rotation[:, 0], centre - end.translation), 0.0, atol=1e-6)
+
+
+def moving_sight(robot):
+    """A tool that looks at a point on a circle."""
+    return LookAtTask(robot, "tool0", circle([0.9, 0.5, 0.1], 0.2, period=2.0, plane="yz"), "x")
+
+
+def test_look_at_a_moving_point_has_the_derivatives_of_differences(ur5):
+    task, (q, dq), h = moving_sight(ur5), checks.random_state(ur5, 3), 1e-5
+
+    def at(t):
+        return task.set_time(t).at(q + t * dq, dq)
+
+    for t in (0.0, 0.7):
+        now, before, after = at(t), at(t - h), at(t + h)
+        np.testing.assert_allclose(task.minus(after.z, now.z) - task.minus(before.z, now.z), 2 * h * now.dz, atol=1e-13)
+        np.testing.assert_allclose((after.dz - before.dz) / (2 * h), now.drift, atol=1e-8)
+        np.testing.assert_allclose(at(t).dz - now.J @ dq, task.at(q + t * dq, 0 * dq).dz, atol=10 * EXACT)
+
+
+def test_look_at_a_moving_point_obeys_the_law_in_both_equations_of_motion(ur5):
+    task, q = moving_sight(ur5), np.array([0.3, -1.2, 1.4, -0.8, -1.3, 0.2])
+    controller = EosController(task, task.aim(), kp=4.0, kd=4.0, smooth=False)
+    options = {"duration": 1.0, "rtol": 1e-11, "atol": 1e-12, "record_rate": 10.0}
+    joints = simulate(ur5, controller, q, **options)
+    extended = simulate_extended(ur5, controller, q, atlas=Atlas(task), **options)
+    np.testing.assert_allclose(extended.q, joints.q, atol=1e-9)
+    np.testing.assert_allclose(joints.residuals()["torque"], 0.0, atol=1e-9)
+    # The target is at rest in the tool; the point's motion is in the rate that the error begins with.
+    goal, t = task.aim().z, joints.t[:, None]
+    error = np.array([task.minus(z, goal) for z in joints.z])
+    rate = task.local_rate(error[0], joints.dz[0], goal)
+    assert np.linalg.norm(rate) > 0.1
+    np.testing.assert_allclose(error, np.exp(-2.0 * t) * (error[0] + t * (rate + 2.0 * error[0])), atol=1e-9)
+
+
+def test_look_at_follows_a_moving_point_in_every_loop(ur5):
+    task, period = moving_sight(ur5), 1e-3
+    # At first it looks there, but does not follow.
+    q = inverse_kinematics(task, task.aim().z, np.array([0.3, -1.2, 1.4, -0.8, -1.3, 0.2])).q
+    options = {"duration": 0.5, "record_rate": 20.0}
+    eos = EosController(task, task.aim(), kp=1e4, kd=200.0)
+    sampled = simulate_sampled(ur5, eos, q, control_period=period, centred=True, **options)
+    loop = KinematicLoop(task, task.aim(), control_period=period, kp=1e4, kd=200.0)
+    for run, bound in ((sampled, 1e-6), (simulate_kinematic(loop, q, **options), 1e-9)):
+        late = run.t > 0.3
+        assert np.abs(run.error[late]).max() < bound
+        for t, q_t in zip(run.t[late], run.q[late], strict=True):
+            tool, place = ur5.placement(q_t, "tool0"), circle([0.9, 0.5, 0.1], 0.2, period=2.0, plane="yz")(t).z
+            assert angle_between(tool.rotation[:, 0], place - tool.translation) < bound
+
+
+def test_look_at_a_moving_point_is_refused_by_controllers_and_plans_without_time(ur5):
+    task, q = moving_sight(ur5), np.array([0.3, -1.2, 1.4, -0.8, -1.3, 0.2])
+    for call in (
+        lambda: OperationalSpaceController(task, task.aim()),
+        lambda: plan(task, [task.value(q), task.aim().z]),
+        lambda: LookAtTask(ur5, "tool0", circle([0.9, 0.5], 0.2, period=2.0)),
+    ):
+        with pytest.raises(InputError, match=r"moves|centre of a LookAtTask"):
+            call()
 
 
 def test_look_at_from_the_point_itself_is_refused(ur5):

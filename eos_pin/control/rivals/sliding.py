@@ -71,6 +71,8 @@ class SlidingModeController(EosController):
         RobotError: The robot lacks mass, or has joints that follow others.
     """
 
+    _tells_time = False
+
     @checked
     def __init__(
         self,
