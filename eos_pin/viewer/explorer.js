@@ -85,7 +85,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
     made.setAttribute("aria-label", label);
     for (const [name, text] of options) add("option", text, made).value = name;
     made.value = first;
-    made.onchange = () => { if (loopy) drawMap(); else survey(); };
+    made.onchange = () => { if (loopy) drawMap(); else look(); };
     chosen.push(made);
   };
   if (loopy) choose("Height of the map", [...data.weighs ? [["energy", "potential energy"], ["torque", "gravity torque"]] : [], ["manipulability", "manipulability"],
@@ -172,8 +172,8 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   }
 
   const matrix = new THREE.Matrix4(), quaternion = new THREE.Quaternion(), where = new Float64Array(robot.n * 12);
-  let traced = null, drawnFor = null, waiting = 0, pictured = 0;
-  const state = window.explorer = { robot, posture, go, jump, handles, milliseconds: 0, rate: 0, loop: () => traced };
+  let traced = null, drawnFor = null, pictured = 0;
+  const state = window.explorer = { robot, posture, go, jump, handles, milliseconds: 0, rate: 0, loop: () => traced, idle: () => Boolean(traced || surveyed) && !looking };
 
   /** Bring the picture and the numbers up to where the posture is. */
   function update(began = performance.now()) {
@@ -208,14 +208,9 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
       if (low !== null && high !== null) mark.style.left = `${Math.min(Math.max(100 * (x - low) / (high - low), 0), 100)}%`;
     });
     show();
-    if (!loopy) {
-      drawSurvey();
-      if (!waiting) waiting = setTimeout(survey, surveyed ? 120 : 0);
-    } else {
-      const changed = !drawnFor || Math.max(...robot.minus(posture.z, drawnFor).map(Math.abs)) > 1e-9 || nearest() === null;
-      if (!changed) drawMap();
-      else if (!waiting) waiting = setTimeout(retrace, drawnFor ? 60 : 0);
-    }
+    if (!loopy) { drawSurvey(); look(); }
+    else if (!drawnFor || Math.max(...robot.minus(posture.z, drawnFor).map(Math.abs)) > 1e-9 || nearest() === null) look();
+    else drawMap();
     state.milliseconds = performance.now() - began;
     // Pictures are counted while something moves, and a pause is not a slow picture.
     requestAnimationFrame(now => {
@@ -233,20 +228,38 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
 
   const kindOf = (q, apart, ratio) => q.some((_, i) => beyond(q, i)) ? "limit" : apart < 0 ? "touch" : ratio < .03 ? "singular" : "";
 
+  // -- work that is spread over pictures, lest one of them be late ---------------------------------------------------------
+  /** Time for it in each picture [ms]. */
+  const SLICE = 4;
+  let looking = null, stale = false;
+  /** Look around the posture; while that is going on, once more when it is done. */
+  function look() {
+    stale = true;
+    if (looking) return;
+    looking = views();
+    const work = () => {
+      // The first time nothing moves yet.
+      const end = traced || surveyed ? performance.now() + SLICE : Infinity;
+      while (looking && performance.now() < end) if (looking.next().done) looking = null;
+      if (looking) requestAnimationFrame(work);
+    };
+    requestAnimationFrame(work);
+  }
+  function* views() { while (stale) { stale = false; yield* loopy ? retrace() : survey(); } }
+
   // -- the loop ----------------------------------------------------------------------------------------------------------
-  function retrace() {
-    waiting = 0;
-    drawnFor = posture.z;
-    traced = Kinematics.trace(robot, posture.q, posture.z);
-    traced.kinds = [];
-    traced.heights = [];
-    traced.places = [];
-    for (const q of traced.nodes) {
+  function* retrace() {
+    const z = posture.z, found = yield* Kinematics.trace(robot, posture.q, z);
+    Object.assign(found, { kinds: [], heights: [], places: [] });
+    for (const q of found.nodes) {
       const { J } = robot.evaluate(q), { value, ratio } = robot.manipulability(J), { energy, torque } = robot.gravityLoad(), apart = robot.clearance();
-      traced.kinds.push(kindOf(q, apart, ratio));
-      traced.heights.push({ energy, torque: load(torque).used, manipulability: value, apart });
-      traced.places.push(Array.from(robot.carried(data.elbow.joint, data.elbow.place).subarray(9)));
+      found.kinds.push(kindOf(q, apart, ratio));
+      found.heights.push({ energy, torque: load(torque).used, manipulability: value, apart });
+      found.places.push(Array.from(robot.carried(data.elbow.joint, data.elbow.place).subarray(9)));
+      yield;
     }
+    traced = found;
+    drawnFor = z;
     for (const mesh of loop.children) mesh.geometry.dispose();
     loop.clear();
     for (let i = 0; i + 1 < traced.nodes.length;) {
@@ -333,15 +346,13 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   const SPAN = 1.5, CELLS = 8;
   let surveyed = null;
   /** Kinds of posture over two coordinates of v, on the chart that the posture is on; from the middle outwards. */
-  function survey() {
-    waiting = 0;
-    const [i, j] = chosen.map(each => Number(each.value)), { chart, z } = posture, v = Float64Array.from(posture.v), side = 2 * CELLS + 1;
+  function* survey() {
+    const [i, j] = chosen.map(each => Number(each.value)), { chart, z, u } = posture, v = Float64Array.from(posture.v), side = 2 * CELLS + 1;
     const kinds = new Array(side * side).fill("edge"), known = new Map();
-    surveyed = { i, j, chart, z, v, kinds };
-    if (i === j) return drawSurvey();
     const order = Array.from({ length: side * side }, (_, c) => [c % side - CELLS, Math.floor(c / side) - CELLS]).sort(([a, b], [c, d]) => a * a + b * b - c * c - d * d);
-    for (const [a, b] of order) {
-      const from = a || b ? known.get(`${a - Math.sign(a) * (Math.abs(a) >= Math.abs(b))},${b - Math.sign(b) * (Math.abs(b) >= Math.abs(a))}`) : posture.u;
+    for (const [a, b] of i === j ? [] : order) {
+      yield;
+      const from = a || b ? known.get(`${a - Math.sign(a) * (Math.abs(a) >= Math.abs(b))},${b - Math.sign(b) * (Math.abs(b) >= Math.abs(a))}`) : u;
       if (!from) continue;
       const target = Float64Array.from(v);
       target[i] += SPAN * a / CELLS;
@@ -352,6 +363,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
       robot.place(found.q);
       kinds[(b + CELLS) * side + a + CELLS] = kindOf(found.q, robot.clearance(), robot.manipulability(found.J).ratio);
     }
+    surveyed = { i, j, chart, z, v, kinds };
     drawSurvey();
   }
   function drawSurvey() {
@@ -369,22 +381,27 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
     context.strokeRect(x - 5, y - 5, 10, 10);
   }
   {
-    const alongLoop = (right, began) => {
-      const from = nearest();
+    let goal = null;
+    /** Go along the loop to a part of its length. */
+    const alongLoop = right => {
+      const began = performance.now(), from = nearest();
+      goal = null;
       if (!traced || from === null) return;
       const length = traced.s[traced.s.length - 1], z = posture.z, to = traced.s.findIndex(s => s >= length * right - 1e-9);
       for (let k = from; k !== to;) {
+        if (performance.now() > began + SLICE) { goal = right; break; }
         k += Math.sign(to - k);
         // The same turn of the joints as now.
         const node = traced.nodes[k].map((value, i) => robot.prismatic[i] ? value : value + 2 * Math.PI * Math.round((posture.q[i] - value) / (2 * Math.PI)));
         if (posture.moveTo(z, posture.chart.at(node)) < 1) break;
       }
       update(began);
+      if (goal !== null) requestAnimationFrame(() => { if (goal === right) alongLoop(right); });
     };
     let sheetHeld = null;
     const follow = event => {
       const box = map.getBoundingClientRect(), inside = x => Math.min(Math.max(x, 0), 1);
-      if (loopy) return alongLoop(inside((event.clientX - box.left - 8) / (box.width - 16)), performance.now());
+      if (loopy) return alongLoop(inside((event.clientX - box.left - 8) / (box.width - 16)));
       const { i, j, v } = sheetHeld, target = Float64Array.from(posture.v), side = (2 * CELLS + 1) / CELLS;
       target[i] = v[i] + SPAN * side * (inside((event.clientX - box.left) / box.width) - .5);
       target[j] = v[j] - SPAN * side * (inside((event.clientY - box.top) / box.height) - .5);

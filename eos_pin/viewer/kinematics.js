@@ -145,6 +145,7 @@ const Kinematics = (() => {
       this.m = this.rows;
       this.r = this.n - this.m;
       this.world = new Float64Array(12 * this.n);
+      this.segments = new Float64Array(6 * this.capsules.carriers.length);
     }
     /** Placements of all joints. */
     place(q) {
@@ -235,15 +236,16 @@ const Kinematics = (() => {
     }
     /** Least distance of two of the robot's capsules [m], Infinity where none are known; after `place`. */
     clearance() {
-      const { carriers, ends, radii, pairs } = this.capsules;
-      if (!pairs.length) return Infinity;
-      const at = carriers.map((joint, i) => ends[i].map(end => {
-        if (joint < 0) return end;
-        const w = 12 * joint, world = this.world;
-        return [0, 1, 2].map(k => world[w + 9 + k] + world[w + 3 * k] * end[0] + world[w + 3 * k + 1] * end[1] + world[w + 3 * k + 2] * end[2]);
-      }));
+      const { carriers, ends, radii, pairs } = this.capsules, world = this.world, at = this.segments;
+      carriers.forEach((joint, i) => {
+        for (let e = 0; e < 2; e++) {
+          const [x, y, z] = ends[i][e], to = 6 * i + 3 * e, w = 12 * joint;
+          if (joint < 0) { at[to] = x; at[to + 1] = y; at[to + 2] = z; continue; }
+          for (let k = 0; k < 3; k++) at[to + k] = world[w + 9 + k] + world[w + 3 * k] * x + world[w + 3 * k + 1] * y + world[w + 3 * k + 2] * z;
+        }
+      });
       let least = Infinity;
-      for (const [i, j] of pairs) least = Math.min(least, segments(at[i], at[j]) - radii[i] - radii[j]);
+      for (const [i, j] of pairs) least = Math.min(least, segments(at, 6 * i, 6 * j) - radii[i] - radii[j]);
       return least;
     }
     /** Square root of det(J Jᵀ), and the ratio of the smallest singular value to the largest. */
@@ -253,16 +255,19 @@ const Kinematics = (() => {
     }
   }
 
-  /** Distance of two segments. */
-  function segments([a0, a1], [b0, b1]) {
-    const u = a1.map((x, i) => x - a0[i]), v = b1.map((x, i) => x - b0[i]), w = a0.map((x, i) => x - b0[i]);
-    const dot = (x, y) => x[0] * y[0] + x[1] * y[1] + x[2] * y[2], clamp = x => Math.min(Math.max(x, 0), 1);
-    const a = dot(u, u), b = dot(u, v), c = dot(v, v), d = dot(u, w), e = dot(v, w), D = a * c - b * b;
+  /** Distance of two segments, whose ends are six numbers that begin at i and at j. */
+  function segments(at, i, j) {
+    const wx = at[i] - at[j], wy = at[i + 1] - at[j + 1], wz = at[i + 2] - at[j + 2];
+    const ux = at[i + 3] - at[i], uy = at[i + 4] - at[i + 1], uz = at[i + 5] - at[i + 2];
+    const vx = at[j + 3] - at[j], vy = at[j + 4] - at[j + 1], vz = at[j + 5] - at[j + 2];
+    const a = ux * ux + uy * uy + uz * uz, b = ux * vx + uy * vy + uz * vz, c = vx * vx + vy * vy + vz * vz;
+    const d = ux * wx + uy * wy + uz * wz, e = vx * wx + vy * wy + vz * wz, D = a * c - b * b;
     let s = D > 1e-12 * a * c ? clamp((b * e - c * d) / D) : 0;
     const t = c > 1e-18 ? clamp((b * s + e) / c) : 0;
     s = a > 1e-18 ? clamp((b * t - d) / a) : 0;
-    return Math.hypot(...w.map((x, i) => x + s * u[i] - t * v[i]));
+    return Math.hypot(wx + s * ux - t * vx, wy + s * uy - t * vy, wz + s * uz - t * vz);
   }
+  const clamp = x => Math.min(Math.max(x, 0), 1);
 
   /** Largest difference of a joint. */
   const apart = (q, other) => q.reduce((most, x, i) => Math.max(most, Math.abs(x - other[i])), 0);
@@ -419,46 +424,49 @@ const Kinematics = (() => {
   }
 
   // -- the manifold of one redundant joint -----------------------------------------------------------------------------
-  /** Joints along the curve at a task point that a posture is on: nodes, arc lengths, and whether it is closed. */
-  function trace(robot, q, z, { step = .06, most = 3000 } = {}) {
+  /** Joints along the curve at a task point that a posture is on: nodes, arc lengths, and whether it is closed.
+   * A generator, so that the work is spread over pictures: it pauses at each node.
+   */
+  function* trace(robot, q, z, { step = .06, most = 3000 } = {}) {
     const { m, n } = robot;
-    const along = (at, before) => {
-      const Q = rowBasis(robot.evaluate(at).J, m, n), less = times(Q, times(transposed(Q, n, m), before, m, n, 1), n, m, 1);
-      const t = before.map((x, i) => x - less[i]), length = Math.hypot(...t);
-      return length > .5 ? t.map(x => x / length) : null;
+    /** Part of a motion that leaves the task at rest. */
+    const along = (J, motion) => {
+      const Q = rowBasis(J, m, n), less = times(Q, times(transposed(Q, n, m), motion, m, n, 1), n, m, 1);
+      const t = motion.map((x, i) => x - less[i]), length = Math.hypot(...t);
+      return { t: t.map(x => x / length), length };
     };
-    const start = Float64Array.from(q);
+    const start = Float64Array.from(q), { J: J0 } = robot.evaluate(start);
     let first = null;
     for (let i = 0; i < n && !first; i++) {
       const unit = new Float64Array(n);
       unit[i] = 1;
-      const Q = rowBasis(robot.evaluate(start).J, m, n), less = times(Q, times(transposed(Q, n, m), unit, m, n, 1), n, m, 1);
-      const t = unit.map((x, k) => x - less[k]), length = Math.hypot(...t);
-      if (length > .35 || i === n - 1) first = t.map(x => x / length);
+      const { t, length } = along(J0, unit);
+      if (length > .35 || i === n - 1) first = t;
     }
-    const walk = sense => {
+    function* walk(sense) {
       const nodes = [start], s = [0];
       let t = first.map(x => sense * x), here = start, length = step;
       while (nodes.length < most) {
-        let x = here.map((value, i) => value + length * t[i]), good = false;
+        let x = here.map((value, i) => value + length * t[i]), ahead = null;
         for (let k = 0; k < 8; k++) {
           const { z: at, J } = robot.evaluate(x), error = robot.minus(at, z);
-          if (Math.max(...error.map(Math.abs)) < 1e-11) { good = true; break; }
+          if (Math.max(...error.map(Math.abs)) < 1e-11) { ahead = along(J, t); break; }
           const found = solve(times(J, transposed(J, m, n), m, n, m), error, m, 1);
           if (!found) break;
           const move = times(transposed(J, m, n), found.X, n, m, 1);
           x = x.map((value, i) => value - move[i]);
         }
-        const ahead = good ? along(x, t) : null, moved = Math.hypot(...x.map((value, i) => value - here[i]));
-        const bend = ahead ? ahead.reduce((sum, value, i) => sum + value * t[i], 0) : 0;
-        if (!ahead || bend < .97 || moved > 1.5 * length) {
+        const moved = Math.hypot(...x.map((value, i) => value - here[i]));
+        // The length of what is left of the last direction is the cosine of the bend.
+        if (!ahead || ahead.length < .97 || moved > 1.5 * length) {
           length *= .5;
           if (length < 1e-5) return { nodes, s, closed: false };
           continue;
         }
         nodes.push(x);
         s.push(s[s.length - 1] + moved);
-        [here, t, length] = [x, ahead, Math.min(step, 1.5 * length)];
+        yield x;
+        [here, t, length] = [x, ahead.t, Math.min(step, 1.5 * length)];
         const home = x.map((value, i) => { const d = value - start[i]; return robot.prismatic[i] ? d : d - 2 * Math.PI * Math.round(d / (2 * Math.PI)); });
         const gap = Math.hypot(...home), onward = home.reduce((sum, value, i) => sum - value * t[i], 0);
         if (nodes.length > 8 && gap < 1.2 * step && onward > 0 && onward > .8 * gap) {
@@ -468,8 +476,8 @@ const Kinematics = (() => {
         }
       }
       return { nodes, s, closed: false };
-    };
-    const forth = walk(1);
+    }
+    const forth = yield* walk(1);
     if (forth.closed) {
       // Half a round to either side: joints that wind are where they get to from here, by the shorter way.
       const { nodes, s } = forth, whole = s[s.length - 1], half = s.findIndex(x => x >= .5 * whole), home = nodes[nodes.length - 1].map((x, i) => x - start[i]);
@@ -477,7 +485,7 @@ const Kinematics = (() => {
         nodes: [...nodes.slice(half).map(q => q.map((x, i) => x - home[i])), ...nodes.slice(1, half + 1)],
         s: [...s.slice(half).map(x => x - s[half]), ...s.slice(1, half + 1).map(x => x + whole - s[half])], closed: true };
     }
-    const back = walk(-1), length = back.s[back.s.length - 1];
+    const back = yield* walk(-1), length = back.s[back.s.length - 1];
     return {
       nodes: [...back.nodes.slice(1).reverse(), ...forth.nodes],
       s: [...back.s.slice(1).reverse().map(x => length - x), ...forth.s.map(x => length + x)], closed: false };

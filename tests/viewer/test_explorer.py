@@ -144,7 +144,8 @@ def test_page_computes_gravity_and_distances(name: str, kind: str) -> None:
 def test_page_traces_the_component_that_the_package_does(name: str, kind: str) -> None:
     task, q = made(name, kind)
     data, _ = described(task, q, self_collision=False)
-    seen = computed(data, [], "return K.trace(robot, data.q, chart.z);")
+    program = "const way = K.trace(robot, data.q, chart.z); let s; do s = way.next(); while (!s.done); return s.value;"
+    seen = computed(data, [], program)
     manifold = self_motion_manifold(task, task.value(q), starts=[q])
     component = next(each for each in manifold.components if each.locate(q).distance < 1e-9)
     assert seen["closed"] == component.closed
