@@ -37,7 +37,9 @@ for name in sys.argv[1:]:
         os._exit(0)
     assert os.wait()[1] == 0, name
 """
-    names = [f"eos_pin._kernels.{file.stem}" for file in (PACKAGE / "_kernels").glob("*.py") if file.stem != "__init__"]
+    # Extension modules, too, if they have been built.
+    stems = {file.name.partition(".")[0] for kind in (".py", ".so") for file in (PACKAGE / "_kernels").glob(f"*{kind}")}
+    names = [f"eos_pin._kernels.{stem}" for stem in sorted(stems - {"__init__"})]
     subprocess.run([sys.executable, "-c", code, *names], check=True)
 
 

@@ -4,3 +4,6 @@
 `plain` and `tracing` do the same through the methods of a task, where there is no compiler or the task is not made of
 frames.
 """
+
+# First of all: extension modules take statuses from it, and it takes all of them.
+from eos_pin._kernels import dispatch as dispatch
