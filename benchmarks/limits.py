@@ -1,6 +1,6 @@
 """Random runs through and near singularities and joint limits, under `LimitedEosController`.
 
-    python benchmarks/limits.py [--count N] [--json FILE]
+    python benchmarks/limits.py [--count N] [--json FILE] [--write]
 
 Each run starts in a random posture, often near a limit, and is sent to and fro along a random line that often leads
 out of reach. Counted are torques that are not finite or beyond their limits, joints beyond theirs, and how many tasks
@@ -11,7 +11,7 @@ continuous, the most it changes from one period to the next shrinks with the per
 As many runs are made with payloads and joints too weak for gravity, where limits are passed: `weak_joints.py` judges
 each time they are, and compares how many joints are lost with how many must be. Where torques change most there, the
 way from one sample to the next is divided: a continuous torque has smaller steps then, whatever path a run takes, and
-where it is steepest no step is left in the end.
+where it is steepest no step is left in the end. With --write the counts go into docs/limits.md.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ import os
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
+from marked import HOME, fill
 from rich.progress import track
-from weak_joints import NARROW, PARTS, WRONG, divided_steps, weak_figures, weak_one, weak_step
+from weak_joints import NARROW, PARTS, VERDICTS, WRONG, Outcome, divided_steps, weak_figures, weak_one, weak_step
 
 from eos_pin import (
     EosError,
@@ -48,6 +50,22 @@ OVER = 1e-6
 BACK, DURATION, OFF = 1.5, 3.0, 1e-2
 #: Control periods of runs that are repeated [s].
 PERIODS = (1e-3, 5e-4, 2.5e-4)
+#: Document that --write fills.
+DOCUMENT = HOME / "docs" / "limits.md"
+#: Verdicts in the words of the document.
+TOLD = dict(
+    zip(
+        VERDICTS,
+        (
+            "were hopeless",
+            "could not be kept while hopeless ones brake",
+            "were excluded by joints before them",
+            "by help that had not ended yet",
+            "could have been kept",
+        ),
+        strict=True,
+    )
+)
 
 
 def example(seed: int, period: float = 1e-3, *, rate: float = 200.0) -> Result:
@@ -94,6 +112,14 @@ def largest_step(seed: int, period: float) -> float:
     return float(np.abs(np.diff(found.tau, axis=0))[np.diff(found.chart) == 0].max())
 
 
+def told(runs: Sequence[Outcome]) -> str:
+    """Counts of lost joints in a sentence."""
+    verdicts = [one for row in runs for one in row.verdicts.values()]
+    counts = sorted(((verdicts.count(one), words) for one, words in TOLD.items()), reverse=True)
+    parts = ", ".join(f"{count} {words}" for count, words in counts)
+    return f" In {len(runs):,} runs {len(verdicts)} joints passed a limit: {parts}. "
+
+
 def main(
     *,
     count: int = 1000,
@@ -101,6 +127,7 @@ def main(
     first: int = 0,
     repeated: int = 10,
     json: Path | None = None,
+    write: bool = False,
     jobs: int = 2,
 ) -> int:
     """Run arms at random through and near singularities and limits, and count what went wrong.
@@ -111,6 +138,7 @@ def main(
         first: Seed of the first run.
         repeated: How many of both are repeated at shorter periods.
         json: File for the figures.
+        write: Write the counts into docs/limits.md.
         jobs: Processes to use.
     """
     parallel = Parallel(n_jobs=jobs, return_as="generator")
@@ -158,6 +186,15 @@ def main(
     console.print(grid("Panda at its limits", ("what", "figure"), list(figures.items())))
     if json is not None:
         write_json(json, figures)
+    if write:
+        fill(DOCUMENT, "lost", told(runs))
+        if wild:
+            median, most = np.median(divided[:, -1]), divided[:, -1].max()
+            fill(
+                DOCUMENT,
+                "steepest",
+                f" {median:.1g} N m in the median of {len(wild)} runs, and {most:.1g} N m at most ",
+            )
     wrong = (torque > 1.0 + 1e-12).any() or (over > OVER).any()
     return 1 if wrong or any(row.torque > 1.0 + 1e-12 or WRONG in row.verdicts.values() for row in runs) else 0
 

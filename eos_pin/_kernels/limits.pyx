@@ -122,7 +122,8 @@ cdef class Limits:
                 data(asked)[i] = data(mean)[i] + data(change)[i]
             at, speed = self.halfway(q, dq, asked, shift)
             held, effort = self.model._inverse_dynamics(at, speed, asked), empty(n)
-            found, miss, off, tight = self.predicted(q, dq, held, asked, asked), 0.0, 0.0, False
+            # Where joints are lost, all depends on what torques can do.
+            found, miss, off, tight = self.predicted(q, dq, held, asked, asked), 0.0, 0.0, self.smallest.lost
             for i in range(n):
                 # What is missed: of the accelerations that were to be, and of the torques that were to give them.
                 miss = max(miss, fabs(data(above)[i] + data(found)[i] - data(change)[i] - self.most[i]))
@@ -131,8 +132,8 @@ cdef class Limits:
                     linear += entry(M, i, j) * data(change)[j]
                 data(effort)[i] = self.torque[i] - data(above)[n + i] + linear
                 off = max(off, fabs(data(held)[i] - data(effort)[i]) / entry(M, i, i))
-                # Rounding aside.
-                tight |= max(fabs(data(effort)[i]), fabs(data(held)[i])) >= (1.0 - 1e-9) * self.torque[i]
+                # Daqp keeps its bounds to 1e-6.
+                tight |= max(fabs(data(effort)[i]), fabs(data(held)[i])) >= (1.0 - 1e-6) * self.torque[i]
                 data(asked)[i] = data(held)[i] - linear
                 data(found)[i] -= data(change)[i]
             if miss < self.met and (off < self.met or not tight):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -80,7 +79,7 @@ class Limits:
         times: int,
         met: float,
         model: Any,
-        smallest: Callable[..., JointVector],
+        smallest: Any,
     ) -> None:
         self._made_from = (
             period, rate, ends, fastest, braking, acceleration, torque, clear, fast, times, met, model, smallest,
@@ -172,8 +171,8 @@ class Limits:
             # What is missed: of the accelerations that were to be, and of the torques that were to give them.
             effort = now[n:] + linear
             miss, off = np.abs(found - now[:n] - change).max(), (np.abs(held - effort) / M.diagonal()).max()
-            # Rounding aside.
-            tight = (np.maximum(np.abs(effort), np.abs(held)) >= (1.0 - 1e-9) * torque).any()
+            # Daqp keeps its bounds to 1e-6. Where joints are lost, all depends on what torques can do.
+            tight = self._smallest.lost or (np.maximum(np.abs(effort), np.abs(held)) >= (1.0 - 1e-6) * torque).any()
             if miss < self._met and (off < self._met or not tight):
                 break
             now = np.concatenate((found - change, held - linear))

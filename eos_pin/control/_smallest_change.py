@@ -70,10 +70,11 @@ class SmallestChange:
 
     Attributes:
         program: The quadratic program.
+        lost: Whether the last answer was without joints that are lost.
     """
 
     def __init__(self, m: int, n: int, order: Sequence[int] | None = None) -> None:
-        self._made_from = m, n, order
+        self._made_from, self.lost = (m, n, order), False
         self._order = range(n) if order is None else order
         sizes = n, n, m
         # t and w are the slacks that daqp itself gives to soft limits, so only Δ is unknown.
@@ -112,9 +113,10 @@ class SmallestChange:
             upper: Largest change of both.
         """
         status, change = self.program(J, M, lower, upper)
+        self.lost = status == UNDECIDED
         if status == DONE:
             return change
-        if status == UNDECIDED:
+        if self.lost:
             return self._without_the_lost(M, lower, upper, change)
         # Only numbers beyond all reason have no solution; then every joint for itself.
         n = len(M)
