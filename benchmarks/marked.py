@@ -27,4 +27,5 @@ def fill(document: Path, name: str, text: str) -> None:
 def table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A table in Markdown."""
     lines = [columns, ["---"] * len(columns), *rows]
+    assert all(len(line) == len(columns) for line in lines), columns
     return "\n" + "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines) + "\n"

@@ -202,17 +202,8 @@ def main() -> None:
         if arguments.write:
             fill(DOCUMENT, "limits", f" {told}. ")
         return
-    columns: tuple[str, ...] = (
-        "h [ms]",
-        "runs",
-        "with contact",
-        "chart changes",
-        f"gain > {GAINED:g} J",
-        "most [J]",
-        "of work",
-        "c [W]",
-    )
-    columns += ("least tank [J]",)
+    counts = "runs", "with contact", "chart changes", "unstable", f"gain > {GAINED:g} J"
+    columns = ("h [ms]", *counts, "most [J]", "of work", "c [W]", "least tank [J]")
     print(" | ".join(columns))
     found: dict[float, Sequence[Outcome]] = {}
     for period in PERIODS:
