@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -12,13 +13,17 @@ from eos_pin.cli.output import Output, console, print_files, run_table, say_note
 from eos_pin.errors import InputError
 from eos_pin.experiments.options import RobotOptions, TaskOptions
 
-#: A robot that must be given by name, as the log comes first on the command line.
-NOBODY = RobotOptions("")
+
+@dataclass(frozen=True)
+class NamedRobot(RobotOptions):
+    """A robot that is given by name, as the log comes first on the command line."""
+
+    robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = ""
 
 
 def analyze(
     log: tyro.conf.Positional[Path],
-    robot: RobotOptions = NOBODY,
+    robot: NamedRobot = NamedRobot(),
     task: TaskOptions = TaskOptions(),
     output: Output = Output(),
     period: float | None = None,

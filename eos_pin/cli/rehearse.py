@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from eos_pin._files import check_writable
 from eos_pin.cli.output import console, grid, print_files, say_notes, stderr, warn_of_gravity, write_json
 from eos_pin.errors import InputError
 from eos_pin.experiments.options import ControlOptions, PathOptions, RobotOptions, TaskOptions, check_options
@@ -84,6 +85,8 @@ def rehearse(
     if loop.seed and not loop.model_error:
         raise InputError(f"--seed {loop.seed} does not apply: nothing is random; add --model-error")
     period = 1.0 / number(loop.control_rate, "the rate", above=0.0)
+    file = loop.log or Path("runs") / f"{Path(robot.robot).stem}-{task.task}" / "log.csv"
+    check_writable(*filter(None, (file, loop.json)))
     machine = robot.load()
     say_notes(machine)
     goal, q = task.make(machine)
@@ -101,7 +104,6 @@ def rehearse(
     e = loop.model_error
     plant = machine.perturbed(mass=e, com=e, inertia=e, seed=loop.seed) if e else machine
     connection = MujocoConnection(MujocoPlant.from_robot(plant), q, command=control.command, control_period=period)
-    file = loop.log or Path("runs") / f"{Path(robot.robot).stem}-{task.task}" / "log.csv"
     log = RunLog(file, machine.joint_names, control.command)
     runner = Runner(connection, driver, clock=clock, log=log, watchdog=loop.watchdog, priority=loop.priority)
     runner.set_speed(loop.speed)

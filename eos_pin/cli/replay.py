@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -32,7 +32,11 @@ if TYPE_CHECKING:
     from eos_pin.simulation.result import Result
 
 
-def replay(runs: tyro.conf.Positional[tuple[Path, ...]] = (), output: Output = Output(), robot: str = "") -> int:
+def replay(
+    runs: tyro.conf.Positional[tuple[Path, ...]] = (),
+    output: Output = Output(),
+    robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = "",
+) -> int:
     """Show saved runs in the browser, or write them as HTML, figure, table or JSON.
 
     Of several runs the first is solid and the others are ghosts at its place, or they stand side by side; their curves

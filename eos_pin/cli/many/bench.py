@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from eos_pin._files import check_writable
-from eos_pin.cli.many.sweep import Words
+from eos_pin.cli.many.sweep import commas
 from eos_pin.cli.output import console, grid, print_files, stderr, write_json
 from eos_pin.errors import InputError
 
 if TYPE_CHECKING:
     from eos_pin.experiments.bench.verdict import Verdict
     from eos_pin.experiments.trial import Row
+
+Names: TypeAlias = Annotated[tuple[str, ...], commas(str, "NAME", none="all")]
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,8 @@ class BenchOutput:
 
 def bench(
     robot: tyro.conf.Positional[tuple[str, ...]] = (),
-    laws: Words = (),
-    settings: Words = (),
+    laws: Names = (),
+    settings: Names = (),
     kept: BenchOutput = BenchOutput(),
     results: Path | None = None,
     seeds: int = 20,
@@ -52,7 +54,7 @@ def bench(
 
     Args:
         robot: Names or paths of URDF files; by default three arms.
-        laws: Names of laws, with commas between; by default all, which a wrong name lists.
+        laws: Names of laws, with commas between; a wrong one lists all.
         settings: Names of settings, likewise.
         kept: Files to keep.
         results: Table of an earlier bench, to write figure and page of without any run.

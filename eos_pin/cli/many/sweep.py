@@ -35,19 +35,19 @@ if TYPE_CHECKING:
     from eos_pin.experiments.trial import Row, Trial
 
 
-def _commas(kind: Callable[[str], Any], name: str) -> PrimitiveConstructorSpec[tuple[Any, ...]]:
-    """Reader of several values with commas between, for the command line."""
+def commas(kind: Callable[[str], Any], name: str, none: str = "chosen") -> PrimitiveConstructorSpec[tuple[Any, ...]]:
+    """Reader of several values with commas between, for the command line, with a word for none of them."""
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=f"{name}[,{name}...]",
         instance_from_str=lambda words: tuple(kind(word) for word in words[0].split(",")),
         is_instance=lambda value: isinstance(value, tuple),
-        str_from_instance=lambda values: [",".join(map(str, values)) or "chosen"],
+        str_from_instance=lambda values: [",".join(map(str, values)) or none],
     )
 
 
-Numbers: TypeAlias = Annotated[tuple[float, ...], _commas(float, "FLOAT")]
-Words: TypeAlias = Annotated[tuple[str, ...], _commas(str, "STR")]
+Numbers: TypeAlias = Annotated[tuple[float, ...], commas(float, "FLOAT")]
+Words: TypeAlias = Annotated[tuple[str, ...], commas(str, "NAME")]
 
 
 @dataclass(frozen=True)
