@@ -55,6 +55,13 @@ class FlatModel(NamedTuple):
         turn = np.eye(3) if joint < 0 else self.turns[joint]
         return joint, _flat(turn.T @ placement.rotation, turn.T @ placement.translation)
 
+    def tip(self, model: pin.Model, part: Part) -> tuple[int, Float[Array, "12"]]:
+        """Joint that carries the frame of a part, and its placement there; an axis is the third of the frame's axes."""
+        joint, tip = self.carried(model, part.frame)
+        if part.kind == "axis":
+            tip[:9] = (tip[:9].reshape(3, 3) @ _turn_to(np.array(part.direction))).ravel()
+        return joint, tip
+
 
 def flat_model(model: pin.Model) -> FlatModel | None:
     """The joints of a model whose joints each have one degree of freedom; None if one of them is of another kind."""
@@ -83,11 +90,7 @@ def chain_arguments(model: pin.Model, parts: tuple[Part, ...]) -> tuple[Any, ...
     flat = flat_model(model)
     if flat is None:
         return None
-    carried = [flat.carried(model, part.frame) for part in parts]
-    for (_, tip), part in zip(carried, parts, strict=True):
-        if part.kind == "axis":
-            # The kernel reads off the third axis.
-            tip[:9] = (tip[:9].reshape(3, 3) @ _turn_to(np.array(part.direction))).ravel()
+    carried = [flat.tip(model, part) for part in parts]
     axes = [[*part.axes, -1, -1, -1][:3] for part in parts]
     joints, tips = [joint for joint, _ in carried], [tip for _, tip in carried]
     return (*flat[:3], joints, [KINDS[part.kind] for part in parts], axes, tips)

@@ -19,7 +19,7 @@ def explore(robot: RobotOptions, task: TaskOptions = TaskOptions(), html: Path |
 
     Args:
         robot: The robot.
-        task: Task of the robot: position, pose, orientation or heading.
+        task: Task of the robot: position, pose, orientation, heading, axis or point-axis.
         html: File to write instead of opening the browser.
 
     For example:

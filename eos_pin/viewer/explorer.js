@@ -147,16 +147,26 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
     mesh.renderOrder = 5;
     return mesh;
   };
-  const handles = [];
-  if (robot.part.kind === 0 || robot.part.kind === 2)
-    handles.push({ name: "hand: drag to move the task", color: "#d55e00", joint: robot.part.joint, local: robot.part.tip,
-      mesh: knob(new THREE.SphereGeometry(.018 * size, 24, 16), "#d55e00"), drag: p => go(robot.part.kind === 2 ? [...p, ...posture.z.slice(3)] : robot.part.axes.map(axis => p[axis]), posture.v) });
-  handles.push({ name: "elbow: drag to move v", color: "#0072b2", joint: data.elbow.joint, local: data.elbow.place,
+  const handles = [], moved = (part, values) => { const z = Array.from(posture.z); z.splice(part.at, values.length, ...values); go(z, posture.v); };
+  for (const part of robot.parts) if (part.kind === 0 || part.kind === 2)
+    handles.push({ name: "hand: drag to move the task", color: "#d55e00", joint: part.joint, local: part.tip,
+      mesh: knob(new THREE.SphereGeometry(.018 * size, 24, 16), "#d55e00"), drag: p => moved(part, part.kind === 2 ? p : part.axes.map(axis => p[axis])) });
+  handles.push({ name: `${data.elbow.name}: drag to move v`, color: "#0072b2", joint: data.elbow.joint, local: data.elbow.place,
     mesh: knob(new THREE.OctahedronGeometry(.024 * size), "#0072b2"), drag: p => { posture.pull(data.elbow.joint, data.elbow.place, p); say(""); update(); } });
+  for (const part of robot.parts) if (part.kind === 4) {
+    // A point ahead on the axis.
+    const far = .12 * size, local = part.tip.map((x, i) => i < 9 ? x : x + far * part.tip[3 * (i - 9) + 2]);
+    handles.push({ name: "axis: drag to tilt it", color: "#e69f00", joint: part.joint, local, mesh: knob(new THREE.BoxGeometry(.026 * size, .026 * size, .026 * size), "#e69f00"),
+      drag: p => {
+        robot.place(posture.q);
+        const from = robot.carried(part.joint, part.tip).subarray(9), way = p.map((x, i) => x - from[i]), length = Math.hypot(...way);
+        if (length > 0) moved(part, way.map(x => x / length));
+      } });
+  }
   for (const { name, color, mesh } of handles) { put(["Handles", name], mesh); legend(name, color, 12, mesh); }
   const loop = new THREE.Group();
   put(["Loop"], loop);
-  if (loopy) { legend("loop of the elbow; thin: barred", "#009e73", 5, loop); }
+  if (loopy) { legend(`loop of the ${data.elbow.name}; thin: barred`, "#009e73", 5, loop); }
 
   const say = text => { said.textContent = text; };
   function go(z, v) {
@@ -310,7 +320,8 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   function drawMap() {
     if (!traced || !map.clientWidth) return;
     const { context, wide, tall } = sheet(), { s, kinds, closed } = traced, length = s[s.length - 1] || 1, heights = traced.heights.map(each => each[chosen[0].value]);
-    const least = Math.min(...heights), span = Math.max(Math.max(...heights) - least, 1e-9);
+    // What is level but for rounding is drawn level.
+    const least = Math.min(...heights), most = Math.max(...heights), level = most - least < 1e-6 * Math.max(1, Math.abs(most)), span = level ? 1 : most - least;
     const x = k => 8 + (wide - 16) * s[k] / length, y = k => tall - 14 - (tall - 28) * (heights[k] - least) / span;
     for (let k = 0; k + 1 < s.length; k++) if (kinds[k]) {
       context.fillStyle = patterns[kinds[k]] ??= pattern(context, kinds[k]);
@@ -322,7 +333,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
     context.stroke();
     if (chosen[0].value === "energy") for (let k = closed ? 0 : 1; k + 1 < s.length; k++) {
       const before = heights[k ? k - 1 : s.length - 2], after = heights[k + 1], sense = Math.sign(heights[k] - before);
-      if (!sense || sense !== Math.sign(heights[k] - after) || span < 1e-6) continue;
+      if (!sense || sense !== Math.sign(heights[k] - after) || level) continue;
       context.beginPath();
       context.arc(x(k), y(k), 5, 0, 7);
       context.fillStyle = sense < 0 ? "#0072b2" : "#fff";

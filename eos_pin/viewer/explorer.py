@@ -10,7 +10,7 @@ import numpy as np
 
 from eos_pin._arrays import JointVector, checked
 from eos_pin._files import write_atomically
-from eos_pin._kernels.flat import KINDS, FlatModel, flat_model
+from eos_pin._kernels.flat import KINDS, POLE, FlatModel, flat_model
 from eos_pin.charts.chart import Chart
 from eos_pin.errors import InputError, RobotError
 from eos_pin.planning.manifolds.manifold import SelfMotionManifold, self_motion_manifold
@@ -20,10 +20,10 @@ from eos_pin.tasks.base import Task
 from eos_pin.viewer.scene import Placed, Scene, packed
 from eos_pin.viewer.viewer import page, script
 
-#: Tasks of which the page has formulas.
-KNOWN = ("position", "orientation", "pose", "heading")
 #: Postures per component that show how far the elbow moves.
 SAMPLES = 40
+#: Distance of the mark beside a tool that turns about its axis, in parts of the robot's reach.
+BESIDE = 0.12
 NO_CAPSULES: dict[str, Any] = {"carriers": [], "ends": [], "radii": [], "pairs": []}
 
 
@@ -35,7 +35,8 @@ def write_explorer(path: str | os.PathLike[str], task: Task, q: JointVector, *, 
 
     Args:
         path: File to write; an existing one is replaced when the new one is complete.
-        task: Position, orientation, pose or heading of a frame, with fewer coordinates than the robot has joints.
+        task: Task made of positions, orientations, poses, headings and axes of frames, with fewer coordinates than the
+            robot has joints.
         q: Posture at the start.
         self_collision: Whether the distance of the robot's links from each other is shown.
 
@@ -51,8 +52,8 @@ def write_explorer(path: str | os.PathLike[str], task: Task, q: JointVector, *, 
         packed(
             np.zeros(1),
             [Placed(scene, q[None])],
-            title=f"{robot.name}: {task.kind}, {spare} joint{'s' if spare > 1 else ''} to spare",
-            caption=f"Drag the hand: the self-motion rests. Drag the elbow, {elbow}: the task rests.",
+            title=f"{robot.name}: {task.kind.replace('_', '-')}, {spare} joint{'s' if spare > 1 else ''} to spare",
+            caption=f"Drag the hand: the self-motion rests. Drag {elbow}: the task rests.",
             more={"explorer": data},
         ),
         scripts=(script("kinematics.js"), script("explorer.js")),
@@ -62,7 +63,7 @@ def write_explorer(path: str | os.PathLike[str], task: Task, q: JointVector, *, 
 
 
 def described(task: Task, q: JointVector, *, self_collision: bool = True) -> tuple[dict[str, Any], str]:
-    """Robot and task in plain values for the page, and the name of the elbow."""
+    """Robot and task in plain values for the page, and the name of what is dragged to move v."""
     robot = task.robot
     if task.m >= robot.n:
         raise InputError(
@@ -70,21 +71,27 @@ def described(task: Task, q: JointVector, *, self_collision: bool = True) -> tup
             "choose a smaller task"
         )
     parts, flat = task.frame_parts(), flat_model(robot.model)
-    if parts is None or len(parts) != 1 or parts[0].kind not in KNOWN:
-        raise InputError(f"the explorer has formulas for the tasks {', '.join(KNOWN)}, not for {task!r}")
+    if parts is None:
+        raise InputError(
+            f"the explorer has formulas for the tasks position, orientation, pose, heading, axis and point-axis, "
+            f"not for {task!r}; choose one of them"
+        )
     if flat is None:
         raise InputError(
             f"the explorer is for joints that turn or slide by themselves; some of {robot.name!r} follow others"
         )
-    (part,) = parts
-    joint, tip = flat.carried(robot.model, part.frame)
+    tips = [flat.tip(robot.model, part) for part in parts]
     chart = Chart.from_base(task, q)
     data = {
         "parents": flat.parents.tolist(),
         "prismatic": flat.prismatic.tolist(),
         "fixed": flat.fixed.tolist(),
         "turns": flat.turns.reshape(-1, 9).tolist(),
-        "part": {"joint": joint, "kind": KINDS[part.kind], "axes": list(part.axes), "tip": tip.tolist()},
+        "parts": [
+            {"joint": joint, "kind": KINDS[part.kind], "axes": list(part.axes), "tip": tip.tolist()}
+            for (joint, tip), part in zip(tips, parts, strict=True)
+        ],
+        "pole": POLE.ravel().tolist(),
         "joints": list(robot.joint_names),
         "labels": list(task.labels),
         "units": list(task.units),
@@ -99,12 +106,18 @@ def described(task: Task, q: JointVector, *, self_collision: bool = True) -> tup
         "capsules": _capsules(robot, flat, q) if self_collision else NO_CAPSULES,
     }
     others, moved = _elsewhere(task, q, chart)
-    elbow = _furthest(robot, moved)
-    frame = robot.model.frames[robot.frame_id(robot.joint_names[elbow])]
-    carrier, place = flat.carried(robot.model, robot.frame_id(frame.name))
-    room = [robot.placement(each, frame.name).translation.tolist() for each in moved]
-    data |= {"components": others, "elbow": {"joint": carrier, "place": place.tolist()}, "room": room}
-    return data, str(robot.joint_names[elbow])
+    elbow, distance = _furthest(robot, moved)
+    frame = robot.frame_id(robot.joint_names[elbow])
+    joint, place = flat.carried(robot.model, frame)
+    room = [robot.placement(each, robot.model.frames[frame].name).translation.tolist() for each in moved]
+    name = "elbow"
+    if distance < 1e-3 * robot.reach:
+        # The tool turns about its axis, and no joint's origin moves: a point beside it shows the turn.
+        (joint, tip), name = tips[0], "mark"
+        place = tip.copy()
+        place[9:] += BESIDE * robot.reach * tip[:9].reshape(3, 3)[:, 0]
+    data |= {"components": others, "elbow": {"joint": joint, "place": place.tolist(), "name": name}, "room": room}
+    return data, "the mark beside the tool" if name == "mark" else f"the elbow, {robot.joint_names[elbow]}"
 
 
 def _finite(name: str, values: JointVector) -> dict[str, list[float | None]]:
@@ -166,7 +179,8 @@ def _elsewhere(task: Task, q: JointVector, chart: Chart) -> tuple[list[list[floa
     return others, own
 
 
-def _furthest(robot: Robot, moved: Any) -> int:
-    """Number of the joint whose origin moves furthest."""
+def _furthest(robot: Robot, moved: Any) -> tuple[int, float]:
+    """Number of the joint whose origin moves furthest, and how far [m]."""
     places = np.array([[robot.placement(q, name).translation for name in robot.joint_names] for q in moved])
-    return int(np.argmax(np.linalg.norm(np.ptp(places, axis=0), axis=1)))
+    far = np.linalg.norm(np.ptp(places, axis=0), axis=1)
+    return int(np.argmax(far)), float(far.max())

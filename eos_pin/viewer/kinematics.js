@@ -5,7 +5,7 @@
  */
 "use strict";
 const Kinematics = (() => {
-  const POSITION = 0, ORIENTATION = 1, POSE = 2, HEADING = 3;
+  const POSITION = 0, ORIENTATION = 1, POSE = 2, HEADING = 3, AXIS = 4;
   /** A chart is left where its margin falls below this, as in Python. */
   const THRESHOLD = .5;
   /** Task error that is left, longest change of a joint in one step of a walk, and shortest such step. */
@@ -126,6 +126,24 @@ const Kinematics = (() => {
     return Array.from(times(E, R, 3, 3, 3));
   }
 
+  // -- directions ------------------------------------------------------------------------------------------------------
+  /** Orthonormal basis of the plane normal to a direction, 2 × 3: that of the pole, carried along the great circle. */
+  function basis(a, pole) {
+    const [x, y, z] = times(a, pole, 1, 3, 3), square = x * x + y * y, c = z > 0 ? 1 / (1 + z) : square > 0 ? (1 - z) / square : 0;
+    return times([1 - c * x * x, -c * x * y, -x, -c * x * y, 1 - c * y * y, -y], transposed(pole, 3, 3), 2, 3, 3);
+  }
+  /** Step on the sphere from a0 to a1. */
+  function across(a1, a0, pole) {
+    const t = times(basis(a0, pole), a1, 2, 3, 1), sine = Math.hypot(...t), angle = Math.atan2(sine, a0[0] * a1[0] + a0[1] * a1[1] + a0[2] * a1[2]);
+    return sine > 0 ? Array.from(t, x => angle * x / sine) : [angle, 0];
+  }
+  /** Direction that a step from a leads to. */
+  function tilted(a, delta, pole) {
+    const angle = Math.hypot(...delta), along = times(delta, basis(a, pole), 1, 2, 3), ratio = angle > 1e-8 ? Math.sin(angle) / angle : 1;
+    const ahead = a.map((x, i) => Math.cos(angle) * x + ratio * along[i]), length = Math.hypot(...ahead);
+    return ahead.map(x => x / length);
+  }
+
   // -- the robot and its task ------------------------------------------------------------------------------------------
   /** C = A B for placements of which A begins at a and C at c. */
   function compose(A, a, B, C, c) {
@@ -137,12 +155,20 @@ const Kinematics = (() => {
   }
 
   class Robot {
-    /** @param data Arrays `parents`, `prismatic`, `fixed`, and `part`: joint, kind, axes, tip; masses, centres, gravity. */
+    /** @param data Arrays `parents`, `prismatic`, `fixed`, `parts` of joint, kind, axes and tip, `pole`; masses, centres, gravity. */
     constructor(data) {
       Object.assign(this, data);
       this.n = this.parents.length;
-      this.rows = { [POSITION]: this.part.axes.length, [ORIENTATION]: 3, [POSE]: 6, [HEADING]: 1 }[this.part.kind];
-      this.m = this.rows;
+      // Where each part begins in z and among the rows of J.
+      let at = 0, row = 0;
+      this.parts = this.parts.map(part => {
+        const count = part.axes.length, rows = [count, 3, 6, 1, 2][part.kind], size = [count, 9, 12, 1, 3][part.kind];
+        const made = { ...part, at, row, size, rows };
+        at += size;
+        row += rows;
+        return made;
+      });
+      this.m = row;
       this.r = this.n - this.m;
       this.world = new Float64Array(12 * this.n);
       this.segments = new Float64Array(6 * this.capsules.carriers.length);
@@ -188,30 +214,42 @@ const Kinematics = (() => {
     /** Task point z and Jacobian J. */
     evaluate(q) {
       this.place(q);
-      const { joint, kind, axes, tip } = this.part, n = this.n, T = this.carried(joint, tip), p = T.subarray(9, 12);
-      const all = this.jacobianOf(joint, p);
-      if (kind === POSE) return { z: [...p, ...T.subarray(0, 9)], J: all };
-      if (kind === ORIENTATION) return { z: [...T.subarray(0, 9)], J: all.slice(3 * n) };
-      if (kind === HEADING) return { z: [Math.atan2(T[3], T[0])], J: all.slice(5 * n) };
-      const J = new Float64Array(axes.length * n);
-      axes.forEach((axis, row) => J.set(all.subarray(axis * n, (axis + 1) * n), row * n));
-      return { z: axes.map(axis => p[axis]), J };
+      const n = this.n, z = [], J = new Float64Array(this.m * n);
+      for (const { joint, kind, axes, tip, row } of this.parts) {
+        const T = this.carried(joint, tip), p = T.subarray(9, 12), all = this.jacobianOf(joint, p);
+        if (kind === POSE) { z.push(...p, ...T.subarray(0, 9)); J.set(all, row * n); }
+        else if (kind === ORIENTATION) { z.push(...T.subarray(0, 9)); J.set(all.subarray(3 * n), row * n); }
+        else if (kind === HEADING) { z.push(Math.atan2(T[3], T[0])); J.set(all.subarray(5 * n), row * n); }
+        else if (kind === AXIS) {
+          const a = [T[2], T[5], T[8]], E = basis(a, this.pole);
+          z.push(...a);
+          // Velocity ω × a along e1 and e2 = a × e1.
+          J.set(times([E[3], E[4], E[5], -E[0], -E[1], -E[2]], all.subarray(3 * n), 2, 3, n), row * n);
+        } else axes.forEach((axis, i) => { z.push(p[axis]); J.set(all.subarray(axis * n, (axis + 1) * n), (row + i) * n); });
+      }
+      return { z, J };
     }
     /** Step that leads from z0 to z1. */
     minus(z1, z0) {
-      const kind = this.part.kind;
-      if (kind === POSE) return [z1[0] - z0[0], z1[1] - z0[1], z1[2] - z0[2], ...difference(z1.slice(3), z0.slice(3))];
-      if (kind === ORIENTATION) return difference(z1, z0);
-      const delta = z1.map((x, i) => x - z0[i]);
-      return kind === HEADING ? [delta[0] - 2 * Math.PI * Math.round(delta[0] / (2 * Math.PI))] : delta;
+      return this.parts.flatMap(({ kind, at, size }) => {
+        const a1 = Array.from(z1.slice(at, at + size)), a0 = Array.from(z0.slice(at, at + size)), delta = a1.map((x, i) => x - a0[i]);
+        if (kind === POSE) return [...delta.slice(0, 3), ...difference(a1.slice(3), a0.slice(3))];
+        if (kind === ORIENTATION) return difference(a1, a0);
+        if (kind === AXIS) return across(a1, a0, this.pole);
+        return kind === HEADING ? [delta[0] - 2 * Math.PI * Math.round(delta[0] / (2 * Math.PI))] : delta;
+      });
     }
     /** Point reached from z by a step. */
     plus(z, delta) {
-      const kind = this.part.kind;
-      if (kind === POSE) return [z[0] + delta[0], z[1] + delta[1], z[2] + delta[2], ...turned(z.slice(3), delta.slice(3))];
-      if (kind === ORIENTATION) return turned(z, delta);
-      return z.map((x, i) => x + delta[i]);
+      return this.parts.flatMap(({ kind, at, size, row, rows }) => {
+        const a = Array.from(z.slice(at, at + size)), d = Array.from(delta.slice(row, row + rows));
+        if (kind === POSE) return [a[0] + d[0], a[1] + d[1], a[2] + d[2], ...turned(a.slice(3), d.slice(3))];
+        if (kind === ORIENTATION) return turned(a, d);
+        return kind === AXIS ? tilted(a, d, this.pole) : a.map((x, i) => x + d[i]);
+      });
     }
+    /** Step that leads from z to where the robot is, in the axes of the Jacobian there. */
+    error(here, z) { return this.minus(z, here).map(x => -x); }
     /** Potential energy [J] and torques [N m or N] of gravity, after `place`. */
     gravityLoad() {
       const n = this.n, torque = new Float64Array(n), world = this.world, [gx, gy, gz] = this.gravity;
@@ -337,7 +375,7 @@ const Kinematics = (() => {
       for (let iteration = 0; iteration <= 20; iteration++) {
         const q = Float64Array.from(base);
         for (let i = 0; i < n; i++) for (let k = 0; k < m; k++) q[i] -= this.U[i * m + k] * u[k];
-        const { z: here, J } = robot.evaluate(q), error = robot.minus(here, z);
+        const { z: here, J } = robot.evaluate(q), error = robot.error(here, z);
         const residual = Math.max(...error.map(Math.abs));
         // At the limit of rounding the residual no longer falls.
         if (residual <= TOLERANCE || residual <= 1e3 * TOLERANCE && residual >= last) return { q, u, J, residual };
@@ -449,7 +487,7 @@ const Kinematics = (() => {
       while (nodes.length < most) {
         let x = here.map((value, i) => value + length * t[i]), ahead = null;
         for (let k = 0; k < 8; k++) {
-          const { z: at, J } = robot.evaluate(x), error = robot.minus(at, z);
+          const { z: at, J } = robot.evaluate(x), error = robot.error(at, z);
           if (Math.max(...error.map(Math.abs)) < 1e-11) { ahead = along(J, t); break; }
           const found = solve(times(J, transposed(J, m, n), m, n, m), error, m, 1);
           if (!found) break;

@@ -14,10 +14,10 @@ from browser import MARKS, Chromium, Page, wait_for
 
 from eos_pin import (
     Chart,
+    DistanceTask,
     EosError,
     InputError,
     OrientationTask,
-    PointAxisTask,
     Robot,
     Task,
     load_robot,
@@ -74,25 +74,29 @@ def points(task: Task, chart: Chart, count: int, seed: int) -> list[np.ndarray]:
     return found
 
 
-ROBOTS = [
-    ("panda", "pose"),
-    ("xarm7", "position"),
-    ("kinova", "position"),
-    ("planar_chain_10", "position"),
-    ("ppr", "position"),
-    ("talos_left_arm", "orientation"),
-    ("ppr", "heading"),
+#: Robots and tasks, and how many points are compared.
+CASES = [
+    ("panda", "pose", 1000),
+    ("xarm7", "position", 1000),
+    ("kinova", "position", 1000),
+    ("planar_chain_10", "pose", 1000),
+    ("talos_left_arm", "orientation", 1000),
+    ("ur5", "point-axis", 200),
+    ("panda", "axis", 200),
+    ("ppr", "position", 200),
+    ("ppr", "heading", 200),
 ]
+ROBOTS = [(name, kind) for name, kind, _ in CASES]
 
 
 @needs_node
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "kind"), ROBOTS)
-def test_page_computes_the_joints_that_the_package_does(name: str, kind: str) -> None:
+@pytest.mark.parametrize(("name", "kind", "count"), CASES)
+def test_page_computes_the_joints_that_the_package_does(name: str, kind: str, count: int) -> None:
     task, q = made(name, kind)
     chart = Chart.from_base(task, q)
     data, _ = described(task, q, self_collision=False)
-    states = points(task, chart, 1000, 1)
+    states = points(task, chart, count, 1)
     cases = [{"z": task.value(x).tolist(), "v": chart.v(x).tolist()} for x in states]
     found = computed(data, cases, "return cases.map(({z, v}) => chart.reach(z, v)?.q);")
     assert max(np.abs(np.array(y) - x).max() for y, x in zip(found, states, strict=True)) < 1e-9
@@ -196,7 +200,7 @@ def test_page_stays_on_the_task_all_round_the_loop() -> None:
 def test_explorer_refuses_tasks_and_robots_without_formulas(panda: Robot, tmp_path: Path) -> None:
     q = np.array([0.0, 0.3, 0.0, -1.8, 0.0, 1.6, 0.1])
     with pytest.raises(InputError, match=r"formulas for the tasks position, orientation, pose, heading"):
-        write_explorer(tmp_path / "a.html", PointAxisTask(panda, "panda_hand_tcp"), q)
+        write_explorer(tmp_path / "a.html", DistanceTask(panda, "panda_hand_tcp", (1.0, 0.0, 0.0)), q)
     ur5 = load_robot("ur5", chain_to="tool0")
     with pytest.raises(InputError, match="no self-motion to explore"):
         write_explorer(tmp_path / "a.html", make_task(ur5, "pose"), rest_posture(make_task(ur5, "pose")))
@@ -231,7 +235,7 @@ def state(page: Page) -> dict[str, Any]:
 
 @MARKS[0]
 @MARKS[1]
-def test_explorer_moves_task_and_self_motion_by_hand(chromium: Chromium, written: Path) -> None:
+def test_explorer_moves_task_and_self_motion_by_hand(chromium: Chromium, written: Path, tmp_path: Path) -> None:
     assert written.stat().st_size < 4e6
     task, _ = made("panda", "pose")
     page = chromium.open(written.as_uri())
@@ -260,6 +264,40 @@ def test_explorer_moves_task_and_self_motion_by_hand(chromium: Chromium, written
     wait_for(lambda: page.js(pace), 10.0)
     assert all(url.startswith(("file://", "data:", "blob:")) for url in page.requests())
     assert len([url for url in page.requests() if url.startswith("file://")]) == 1
+    assert not page.troubles()
+    # In a second browser the same file moves a robot of its own.
+    other = Chromium(str(tmp_path / "profile"))
+    try:
+        beside = other.open(written.as_uri())
+        assert state(beside)["q"] == start["q"]
+        beside.js("explorer.go(Array.from(explorer.posture.z), [0.2])")
+        assert state(beside)["v"] == pytest.approx([0.2])
+        assert state(page)["q"] == keyed["q"]
+        assert not beside.troubles()
+    finally:
+        other.close()
+    page.close()
+
+
+@MARKS[0]
+@MARKS[1]
+def test_explorer_tilts_the_axis_of_an_arm_with_six_joints(unchecked: None, chromium: Chromium, tmp_path: Path) -> None:
+    task, q = made("ur5", "point-axis")
+    page = chromium.open(write_explorer(tmp_path / "ur5.html", task, q).as_uri())
+    start = state(page)
+    pulled = "explorer.handles[{}].drag(explorer.handles[{}].at.map((x, i) => x + [0.04, 0.03, 0.05][i]))"
+    page.js(pulled.format(2, 2))
+    tilted = state(page)
+    assert np.abs(np.array(tilted["z"]) - start["z"])[:3].max() < 1e-9
+    assert np.abs(np.array(tilted["z"]) - start["z"])[3:].max() > 0.02
+    assert np.abs(np.array(tilted["v"]) - start["v"]).max() < 1e-9
+    assert np.abs(task.minus(task.value(np.array(tilted["q"])), np.array(tilted["z"]))).max() < 1e-9
+    # The tool turns about its axis, shown by a mark beside it.
+    assert "the mark beside the tool" in page.js("document.getElementById('caption').textContent")
+    page.js(pulled.format(1, 1))
+    turned = state(page)
+    assert np.abs(np.array(turned["v"]) - tilted["v"]).max() > 0.02
+    assert np.abs(np.array(turned["z"]) - tilted["z"]).max() < 1e-12
     assert not page.troubles()
     page.close()
 
