@@ -24,6 +24,7 @@ from eos_pin.tasks.batch import Manifold
 from eos_pin.tasks.stacked import task_from_description
 from eos_pin.trajectories.bags import JointMotion, write_bag
 from eos_pin.trajectories.base import JointTarget, Target, Trajectory
+from eos_pin.trajectories.spline import cubic_at, cubics_at
 from eos_pin.trajectories.storage import described, path_from
 from eos_pin.trajectories.through import WaypointPath, sampled
 from eos_pin.trajectories.timed import Pace, TimedPath
@@ -146,10 +147,7 @@ class Plan:
     def _at(self, t: float) -> tuple[Array, Array, Array, Array, Array, Array]:
         """S, C, and their first and second derivatives."""
         knots, coefficients = self._curve
-        k = min(max(int(np.searchsorted(knots, t, side="right")) - 1, 0), len(knots) - 2)
-        x = t - float(knots[k])
-        powers = np.array(((x * x * x, x * x, x, 1.0), (3.0 * x * x, 2.0 * x, 1.0, 0.0), (6.0 * x, 2.0, 0.0, 0.0)))
-        rows = powers.dot(coefficients[k])
+        rows = cubic_at(knots, coefficients, t)
         n, m = self.q.shape[1], self.task.m
         S, C = rows[:, :n], rows[:, n:].reshape(3, n, m)
         return S[0], C[0], S[1], C[1], S[2], C[2]
@@ -216,9 +214,7 @@ class Plan:
         t = inner if self.pace is None else self.pace.place(inner)
         z = sampled(self.untimed, t).T
         knots, coefficients = self._curve
-        k = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 2)
-        x = t - knots[k]
-        rows = np.einsum("tp,tpc->tc", np.stack((x**3, x**2, x, np.ones_like(x)), axis=1), coefficients[k])
+        rows = cubics_at(knots, coefficients, t)[0]
         n = self.q.shape[1]
         S, C = rows[:, :n], rows[:, n:].reshape(len(t), n, self.task.m)
         manifold = Manifold(self.task)

@@ -33,7 +33,7 @@ from eos_pin.tasks._flat import PointLike, checked_pose
 from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Target, Trajectory
 from eos_pin.trajectories.pose import PoseTrajectory
-from eos_pin.trajectories.waypoints import Waypoints, from_quaternions, read_waypoints
+from eos_pin.trajectories.waypoints import Waypoints, read_waypoints
 
 #: Where the quaternions of a spline get as short as this between two rotations, it is no curve that anybody means.
 SHORT = 0.4
@@ -174,8 +174,7 @@ class RotationSpline(_SplineTrajectory):
     """
 
     def _target(self, p: Vector, dp: Vector, ddp: Vector) -> Target:
-        R, omega, alpha = rotations_along(p[None], dp[None], ddp[None])
-        return Target(R[0], omega[0], alpha[0])
+        return Target(*rotations_along(p, dp, ddp))
 
 
 @checked
@@ -342,21 +341,55 @@ def unrolled(rotations: Float[Array, "K 9"]) -> Float[Array, "K 4"]:
     return quaternions
 
 
-def rotations_along(p: Float[Array, "K 4"], dp: Float[Array, "K 4"], ddp: Float[Array, "K 4"]) -> tuple[Array, ...]:
+def rotations_along(
+    p: Float[Array, "*K 4"], dp: Float[Array, "*K 4"], ddp: Float[Array, "*K 4"]
+) -> tuple[Float[Array, "*K 9"], Float[Array, "*K 3"], Float[Array, "*K 3"]]:
     """Rotation matrices row by row, angular velocities and accelerations, of quaternions (x, y, z, w) of any length.
 
     Args:
-        p: Quaternions.
+        p: Quaternions, of one time or of several.
         dp: Their rates.
         ddp: The rates of these.
     """
-    square, slope = (p * p).sum(axis=1)[:, None], (p * dp).sum(axis=1)[:, None]
-    omega = _twice_vector(dp, p) / square
+    # Of one time plain numbers are faster than arrays of one number each.
+    x, y, z, w = p.tolist() if p.ndim == 1 else p.T
+    a, b, c, d = dp.tolist() if p.ndim == 1 else dp.T
+    e, f, g, h = ddp.tolist() if p.ndim == 1 else ddp.T
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    R = (
+        1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),
+        s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x),
+        s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y),
+    )  # fmt: skip
+    # Twice the vector part of dp p̄ over |p|².
+    i, j, k = (
+        s * (w * a - x * d - b * z + c * y),
+        s * (w * b - y * d - c * x + a * z),
+        s * (w * c - z * d - a * y + b * x),
+    )
     # The vector part of dp p̄ has the derivative ddp p̄, because that of dp times its own conjugate is zero.
-    alpha = _twice_vector(ddp, p) / square - 2.0 * slope / square * omega
-    return from_quaternions(p[:, [3, 0, 1, 2]]).reshape(-1, 9), omega, alpha
+    slope = s * (x * a + y * b + z * c + w * d)
+    alpha = (
+        s * (w * e - x * h - f * z + g * y) - slope * i,
+        s * (w * f - y * h - g * x + e * z) - slope * j,
+        s * (w * g - z * h - e * y + f * x) - slope * k,
+    )
+    return np.array(R).T, np.array((i, j, k)).T, np.array(alpha).T
 
 
-def _twice_vector(a: Float[Array, "K 4"], b: Float[Array, "K 4"]) -> Float[Array, "K 3"]:
-    """Twice the vector part of the product of a and the conjugate of b."""
-    return 2.0 * (b[:, 3:] * a[:, :3] - a[:, 3:] * b[:, :3] - np.cross(a[:, :3], b[:, :3]))
+def cubic_at(knots: Float[Array, " K"], cubics: Float[Array, "k 4 width"], t: float) -> Float[Array, "3 width"]:
+    """Values, first and second derivatives of cubics, highest power first, from each of some knots to the next."""
+    k = min(max(int(knots.searchsorted(t, "right")) - 1, 0), len(knots) - 2)
+    x = t - knots.item(k)
+    powers = np.array(((x * x * x, x * x, x, 1.0), (3.0 * x * x, 2.0 * x, 1.0, 0.0), (6.0 * x, 2.0, 0.0, 0.0)))
+    return np.asarray(powers.dot(cubics[k]))
+
+
+def cubics_at(
+    knots: Float[Array, " K"], cubics: Float[Array, "k 4 width"], t: Float[Array, " T"]
+) -> Float[Array, "3 T width"]:
+    """The same at several times."""
+    k = np.clip(knots.searchsorted(t, "right") - 1, 0, len(knots) - 2)
+    x = (t - knots[k])[:, None]
+    a, b, c, d = cubics[k].transpose(1, 0, 2)
+    return np.array((((a * x + b) * x + c) * x + d, (3.0 * a * x + 2.0 * b) * x + c, 6.0 * a * x + 2.0 * b))

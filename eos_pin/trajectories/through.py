@@ -21,7 +21,7 @@ from eos_pin.tasks.extent import check_reach
 from eos_pin.trajectories.base import Hold, Target, Trajectory
 from eos_pin.trajectories.corners import STOPPING, Corners, check_corners, rounded
 from eos_pin.trajectories.harmonic import Harmonic, circle, figure_eight, line
-from eos_pin.trajectories.spline import Geodesic, rotations_along, unrolled
+from eos_pin.trajectories.spline import Geodesic, cubic_at, cubics_at, rotations_along, unrolled
 from eos_pin.trajectories.stacked import StackedTrajectory
 from eos_pin.trajectories.tolerated import ToleratedPath
 from eos_pin.trajectories.waypoints import Waypoints, posed, read_waypoints
@@ -62,70 +62,102 @@ class WaypointPath(Trajectory):
             object.__setattr__(self, "duration", float(self.times[-1]))
 
     @cached_property
-    def _channels(self) -> list[tuple[slice, Kind, Any]]:
-        """For each part of the task: where it is in z, its kind, and its spline with derivatives."""
-        return [
-            (part, kind, self._spline(self.points[:, part], kind == "rotation", kind == "angle"))
-            for part, kind in self.task.channels()
-        ]
-
-    def _spline(self, values: Array, turning: bool, angle: bool) -> Any:
+    def _splines(self) -> tuple[Array, Array, Array]:
+        """Knots, the cubics between them, (K − 1, 4, width), and how far each column is on after the last."""
         from scipy.interpolate import CubicSpline
 
-        if turning:
-            values = unrolled(values)
-        elif angle:
-            values = np.unwrap(values, axis=0)
-        times = self.times
-        if self.closed:
-            # Where a quaternion comes back negative, or an angle a turn further, only two rounds together repeat.
-            if turning and values[-1] @ values[0] < 0.0:
-                values = np.concatenate((values, -values[1:]))
-                times = np.concatenate((times, times[1:] + self.period))
-            elif angle:
-                turn = values[-1] - values[0]
-                drift = np.outer((times - times[0]) / self.period, turn)
-                values = values - drift
+        made, turns, span = list[Array](), list[Array](), self.times[-1] - self.times[0]
+        for part, kind in self.task.channels():
+            values, times = np.array(self.points[:, part]), self.times
+            if kind == "rotation":
+                values = unrolled(values)
+            elif kind == "angle":
+                values = np.unwrap(values, axis=0)
+            turn = (values[-1] - values[0]) * (self.closed and kind == "angle")
+            values -= np.outer((times - times[0]) / span, turn)
+            if self.closed:
+                # Where a quaternion comes back negative only two rounds together repeat.
+                if kind == "rotation" and values[-1] @ values[0] < 0.0:
+                    values = np.concatenate((values, -values[1:]))
+                    times = np.concatenate((times, times[1:] + span))
                 values[-1] = values[0]
-                slope, start = turn / self.period, float(times[0])
-                curve = CubicSpline(times, values, bc_type="periodic", axis=0)
-                return (
-                    lambda t: curve(t) + np.multiply.outer(np.asarray(t) - start, slope),
-                    lambda t: curve(t, 1) + slope,
-                    lambda t: curve(t, 2),
-                )
-            else:
-                values = np.array(values)
-            values[-1] = values[0]
-        elif len(times) == 2:
-            middle = 0.5 * (values[:1] + values[1:])
-            values, times = np.insert(values, 1, middle, axis=0), np.insert(times, 1, times.mean())
-        curve = CubicSpline(times, values, bc_type="periodic" if self.closed else "not-a-knot", axis=0)
-        return curve, curve.derivative(1), curve.derivative(2)
+            elif len(times) == 2:
+                middle = 0.5 * (values[:1] + values[1:])
+                values, times = np.insert(values, 1, middle, axis=0), np.insert(times, 1, times.mean())
+            curve = CubicSpline(times, values, bc_type="periodic" if self.closed else "not-a-knot", axis=0)
+            cubics = np.array(curve.c.transpose(1, 0, 2))
+            cubics[:, 2] += turn / span
+            cubics[:, 3] += np.outer((times[:-1] - times[0]) / span, turn)
+            made.append(cubics)
+            turns.append(turn)
+        knots, turned = self.times, np.concatenate(turns)
+        rounds = max(map(len, made)) // min(map(len, made))
+        if rounds == 2:
+            knots = np.concatenate((knots, knots[1:] + span))
+            made = [np.resize(cubics, (len(knots) - 1, *cubics.shape[1:])) for cubics in made]
+            cubics = np.concatenate(made, axis=2)
+            cubics[len(self.times) - 1 :, 3] += turned
+            return knots, cubics, 2.0 * turned
+        if len(knots) == 2:
+            knots = np.insert(knots, 1, knots.mean())
+        return knots, np.concatenate(made, axis=2), turned
+
+    @cached_property
+    def _parts(self) -> list[tuple[slice, Kind]]:
+        """Columns of the splines of each part of the task, and its kind; none where these are z itself."""
+        parts, first = list[tuple[slice, Kind]](), 0
+        for part, kind in self.task.channels():
+            width = 4 if kind == "rotation" else part.stop - part.start
+            parts.append((slice(first, first + width), kind))
+            first += width
+        return parts if {kind for _, kind in parts} & {"rotation", "direction"} else []
 
     def __call__(self, t: float) -> Target:
-        z, dz, ddz = self.sample(np.array([t]))
-        return Target(z[0], dz[0], ddz[0])
+        knots, cubics, turned = self._splines
+        first, last = knots.item(0), knots.item(-1)
+        if self.closed:
+            rounds, inside = divmod(t - first, last - first)
+            p, dp, ddp = cubic_at(knots, cubics, first + inside)
+            if rounds:
+                p += rounds * turned
+        else:
+            p, dp, ddp = cubic_at(knots, cubics, min(max(t, first), last))
+        z, dz, ddz = self._point(p, dp, ddp)
+        if self.task.whole is not self.task:
+            (dz,), (ddz,) = self.task._rates(z[None], dz[None], ddz[None])
+        if not (self.closed or first <= t <= last):
+            dz, ddz = 0.0 * dz, 0.0 * ddz
+        return Target(z, dz, ddz)
+
+    def _point(self, p: Array, dp: Array, ddp: Array) -> tuple[Array, Array, Array]:
+        """z, dz, ddz from the splines' values and derivatives, (…, width) each."""
+        if not self._parts:
+            return p, dp, ddp
+        parts = []
+        for columns, kind in self._parts:
+            part = p[..., columns], dp[..., columns], ddp[..., columns]
+            if kind == "rotation":
+                part = rotations_along(*part)
+            elif kind == "direction":
+                part = _direction(*part)
+            parts.append(part)
+        z, dz, ddz = (np.concatenate(values, axis=-1) for values in zip(*parts, strict=True))
+        return z, dz, ddz
 
     def sample(self, times: Float[Array, " K"]) -> tuple[Array, Array, Array]:
         """z, dz, ddz at several times, each (K, …); an open path rests before its start and after its end."""
         t = np.asarray(times, dtype=float)
-        inside = np.clip(t, self.times[0], self.times[-1]) if not self.closed else t
-        z = np.empty((len(t), self.task.size))
-        rates: list[list[Array]] = [[], []]
-        for part, kind, (value, slope, bend) in self._channels:
-            p, dp, ddp = value(inside), slope(inside), bend(inside)
-            if kind == "rotation":
-                p, dp, ddp = rotations_along(p, dp, ddp)
-            elif kind == "direction":
-                p, dp, ddp = _direction(p, dp, ddp)
-            z[:, part] = p
-            rates[0].append(dp)
-            rates[1].append(ddp)
-        dz, ddz = (np.concatenate(rate, axis=1) for rate in rates)
+        knots, cubics, turned = self._splines
+        if self.closed:
+            rounds, inside = np.divmod(t - knots[0], knots[-1] - knots[0])
+            p, dp, ddp = cubics_at(knots, cubics, knots[0] + inside)
+            p += np.outer(rounds, turned)
+        else:
+            p, dp, ddp = cubics_at(knots, cubics, np.clip(t, knots[0], knots[-1]))
+        z, dz, ddz = self._point(p, dp, ddp)
         dz, ddz = self.task._rates(z, dz, ddz)
         if not self.closed:
-            resting = (t < self.times[0]) | (t > self.times[-1])
+            resting = (t < knots[0]) | (t > knots[-1])
             dz[resting], ddz[resting] = 0.0, 0.0
         return z, dz, ddz
 
@@ -272,6 +304,9 @@ def directions_in(table: Waypoints, task: Task) -> Float[Array, "K 3"] | None:
 
 def _direction(s: Array, ds: Array, dds: Array) -> tuple[Array, Array, Array]:
     """Directions, velocities and accelerations of vectors that need not have length 1."""
+    if s.ndim == 1:
+        (a,), (da,), (dda,) = _direction(s[None], ds[None], dds[None])
+        return a, da, dda
     length = np.linalg.norm(s, axis=1)[:, None]
     a = s / length
     rate = (a * ds).sum(axis=1)[:, None]

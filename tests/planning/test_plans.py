@@ -163,6 +163,9 @@ def test_waypoint_path_has_its_derivatives_and_points(panda, closed):
         assert np.abs(rate - here.dz).max() < 1e-8
         assert np.abs((after.dz - before.dz) / (2 * h) - here.ddz).max() < 1e-5
     assert np.abs(task.minus(path(path.times[5]).z, task.point(poses(24, closed)[5]))).max() < 1e-12
+    times = np.linspace(-0.7 * path.times[-1], 2.3 * path.times[-1], 40)
+    for many, rows in zip(path.sample(times), zip(*map(path, times), strict=True), strict=True):
+        np.testing.assert_allclose(many, rows, atol=1e-13)
     if closed:
         assert np.abs(path(path.period + 0.2).z - path(0.2).z).max() < 1e-12
 
