@@ -6,7 +6,7 @@ Without one the package does the same, more slowly. All else about the package i
 import numpy as np
 from setuptools import Extension, setup
 
-KERNELS = ("law", "limits", "parts", "_turns", "_chain", "_solids", "_step", "_trace", "springs")
+KERNELS = ("law", "limits", "parts", "_turns", "_chain", "_solids", "_step", "_trace", "_ways", "springs")
 
 setup(
     ext_modules=[

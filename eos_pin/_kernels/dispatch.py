@@ -3,7 +3,7 @@
 A kernel is a function or a class that takes and returns plain arrays. Its plain form is written in NumPy, to be read.
 Where it runs in every control step and NumPy's price for a call counts, `law.pyx`, `limits.pyx`, `parts.pyx` and
 `springs.pyx` have a compiled form of the same name, with the same arguments and the same results to rounding
-(`benchmarks/compiled.py`).
+(`benchmarks/compiled.py`); `_ways.pyx` has that of the innermost loop of a search.
 Without a compiler, and with EOS_PIN_COMPILED=0 in the environment, the plain forms do everything.
 """
 
@@ -28,10 +28,11 @@ COMPILED = {
     "_solids": ("distances",),
     "_step": ("KinematicStep",),
     "_trace": ("nearest", "tangents", "trace"),
+    "_ways": ("relaxed",),
 }  # fmt: skip
 
 #: Those of kernels whose plain forms `use_compiled` chooses between.
-WITH_PLAIN_FORMS = ("law", "limits", "parts", "springs")
+WITH_PLAIN_FORMS = ("law", "limits", "parts", "springs", "_ways")
 
 #: Statuses of a kernel that cannot always answer: it did, its caller has to decide, or there is no answer.
 DONE, UNDECIDED, NO_ANSWER = 0, 1, 2

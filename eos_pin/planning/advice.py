@@ -17,7 +17,7 @@ from eos_pin.planning.problem import Bar, Problem
 
 #: Distances by which a solid is made smaller all around [m], and ranges by which limits are widened [rad or m].
 DISTANCES, RANGES = (0.03, 0.1), (0.1, 0.4)
-#: Seconds that changes are tried for: at least, at most, and as a part of those that the search took.
+#: Seconds of the processor that changes are tried for: at least, at most, and as a part of the search's.
 LEAST, MOST, PART = 2.0, 15.0, 1.0
 #: Causes that are looked at, most frequent first.
 CAUSES = 2
@@ -43,17 +43,17 @@ class _TimeUpError(Exception):
 
 
 class Deadline:
-    """A progress report that ends a search when its time is over.
+    """A progress report that ends a search when its time is over, the processor's, whatever else it does.
 
     Args:
         seconds: The time from now on.
     """
 
     def __init__(self, seconds: float) -> None:
-        self.end = time.perf_counter() + seconds
+        self.end = time.thread_time() + seconds
 
     def __call__(self, what: str, part: float) -> None:
-        if time.perf_counter() > self.end:
+        if time.thread_time() > self.end:
             raise _TimeUpError
 
 
@@ -65,7 +65,7 @@ def tried(
     Args:
         changes: The changes, of each kind the smallest first.
         solve: Searches for a motion with a change.
-        spent: Time that the refused search took [s].
+        spent: Time of the processor that the refused search took [s].
     """
     deadline = Deadline(float(np.clip(PART * spent, LEAST, MOST)))
     helpful, useless = list[str](), list[str]()
@@ -83,14 +83,24 @@ def tried(
     return helpful, useless
 
 
-def changes_for(problem: Problem, bars: Sequence[Bar], jumps: bool) -> list[Change]:
-    """Changes that take away the most frequent causes, and jumps where they are not allowed yet."""
+def changes_for(problem: Problem, bars: Sequence[Bar], jumps: bool, closed: bool) -> list[Change]:
+    """Changes that take away the most frequent causes, whole turns where they may help, and jumps; those not there yet.
+
+    Args:
+        problem: The problem.
+        bars: Causes.
+        jumps: Whether joints may jump.
+        closed: Whether the path is closed.
+    """
     made: list[Change] = []
     for bar in bars[:CAUSES]:
         if bar.joint is not None:
             made += _wider(problem, bar)
         elif bar.solid:
             made += _further(problem, bar.solid)
+    winding = replace(problem, winding=True)
+    if closed and not problem.winding and winding.winds.any():
+        made.append(Change("whole turns each round allowed (allow_winding=True, --allow-winding)", winding))
     return made if jumps else [*made, Change("reconfigurations allowed", problem, jumps=True)]
 
 

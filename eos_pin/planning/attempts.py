@@ -86,7 +86,7 @@ class Search:
         self.failures: list[tuple[Failure, int]] = []
         self.notes: list[str] = []
         self.stride, self.confirmed = 1, False
-        self.began = time.perf_counter()
+        self.began = time.thread_time()
 
     @property
     def course(self) -> Course:
@@ -303,11 +303,11 @@ class Search:
     def refusal(self) -> PlanError:
         """Reason and place of a refusal, and a change that would help."""
         grid, problem = self.grid, self.problem
-        spent = time.perf_counter() - self.began
+        spent = time.thread_time() - self.began
         twice = ". A search with twice as many points and postures found none either" if self.confirmed else ""
         if self.failures and not self.notes:
             failure, row = max(self.failures, key=lambda item: item[1])
-            helps = self._helps(changes_for(problem, failure.bars, self.reconfigurations), spent)
+            helps = self._helps(changes_for(problem, failure.bars, self.reconfigurations, grid.closed), spent)
             if failure.layer < 0:
                 return PlanError(
                     f"no joints at {grid.called(0)}, where the path begins: {told(failure.bars)}, of 400 postures "
@@ -336,7 +336,7 @@ class Search:
         rest = [note for note in dict.fromkeys(self.notes) if not note.startswith(jump)]
         reasons = "; ".join([*rest, *([jump + ", or at ".join(at[:3])] if at else [])]) or "the search found none"
         kind = "closed motion" if grid.closed else "motion"
-        helps = self._helps(changes_for(problem, (), self.reconfigurations), spent)
+        helps = self._helps(changes_for(problem, (), self.reconfigurations, grid.closed), spent)
         return PlanError(
             f"no {kind} was found ({problem.r} redundant joints, {len(grid.Z)} points): {reasons}{twice}. "
             + (helps or "Search longer (--effort), allow less clearance or margin, or lead the path elsewhere"),

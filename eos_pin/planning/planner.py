@@ -88,7 +88,7 @@ def plan(
             without the first once more at the end.
         reconfigurations: Whether the joints may jump where no continuous motion exists, as few times as possible.
         allow_winding: Whether joints without limits may end each round of a closed path whole turns away from where
-            they began (`Plan.winding`); such motions are found with one redundant joint and without `start`.
+            they began (`Plan.winding`).
         keep_time: Whether the velocity limits hold at the pace of the path; by default if it has times of its own.
         acceleration: Largest accelerations [rad/s² or m/s²]; a given pace is refused where they are exceeded.
         torque: Largest torques [N m or N], kept likewise, or whether those of the robot are kept.

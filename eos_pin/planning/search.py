@@ -11,13 +11,13 @@ from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from eos_pin._arrays import Array
 from eos_pin._kernels.ways import Steps, closed_ways, open_ways
 from eos_pin.planning.courses import connected, unbroken
-from eos_pin.planning.problem import Bar, Problem
+from eos_pin.planning.problem import TAU, Bar, Problem
 
 #: Longest self-motion between two layers, in radians.
 STRIDE = 0.7
@@ -31,6 +31,28 @@ SHORT = 0.12
 Ticked: TypeAlias = Callable[[int], None]
 #: Odd numbers that make one of the coordinates of a cell.
 _HASH = np.random.default_rng(1).integers(1, 2**62, 256) | 1
+
+
+def way_between(a: Float[Array, "n K"], b: Float[Array, "n #K"], rolled: Bool[Array, " n"]) -> Float[Array, "n K"]:
+    """Motion from a to b, the short way round for joints of which postures whole turns apart are one."""
+    d = b - a
+    d[rolled] -= TAU * np.round(d[rolled] / TAU)
+    return d
+
+
+def tree_of(problem: Problem, Q: Float[Array, "n K"], rolled: Bool[Array, " n"]) -> cKDTree:
+    """Tree of postures, those whole turns of some joints apart being one; ask it for `rows_of` postures."""
+    if not rolled.any():
+        return cKDTree(rows_of(problem, Q, rolled))
+    return cKDTree(rows_of(problem, Q, rolled), boxsize=np.where(rolled, TAU, 1e6) / problem.scale)
+
+
+def rows_of(problem: Problem, Q: Float[Array, "n K"], rolled: Bool[Array, " n"]) -> Float[Array, "K n"]:
+    """Postures as rows, some joints from 0 to a turn and then the others far from the ends of their box."""
+    if rolled.any():
+        Q = np.where(rolled[:, None], np.mod(Q, TAU), Q + 2.5e5 * problem.scale[:, None])
+        Q[rolled] = np.where(Q[rolled] >= TAU, 0.0, Q[rolled])
+    return np.asarray((Q / problem.scale[:, None]).T)
 
 
 @dataclass
@@ -84,6 +106,9 @@ class Layers:
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
+        # Of joints that may wind postures whole turns apart are one.
+        self._rolled = self.problem.winds & self.closed
+        self.begin: Array | None = None
 
     # -- postures ----------------------------------------------------------------------------------------------------
 
@@ -137,13 +162,13 @@ class Layers:
 
     def grow(self, start: Array | None = None) -> Failure | None:
         """Fill the layers, one after the other, and connect them."""
-        L = len(self.Z)
+        L, self.begin = len(self.Z), start
         self.nodes, self.steps = [self.first(start)], []
         if not self.nodes[0].shape[1]:
             return Failure(-1, 0, self._bars_at(0), 0)
         back = self._from_goal()
         alive = np.ones(self.nodes[0].shape[1], bool)
-        rounds = 2 if self.closed else 1
+        rounds, again = 2 if self.closed else 1, list[Array]()
         for lap in range(rounds):
             for k in range(L if self.closed else L - 1):
                 following = (k + 1) % L
@@ -162,7 +187,7 @@ class Layers:
                 else:
                     self.nodes.append(new)
                 if self.closed:
-                    alive = np.ones(new.shape[1], bool)
+                    alive, again = np.ones(new.shape[1], bool), [*again, there][-L:]
                 else:
                     whole = np.full(self.nodes[k].shape, np.nan)
                     whole[:, alive if not self.jumps else slice(None)] = there
@@ -173,9 +198,9 @@ class Layers:
                         return self._failure(k, live, there, found)
                 self.tick(lap * L + k + 1)
         if self.closed:
-            for k in range(L):
-                there, _ = self._continued(self.nodes[k], (k + 1) % L)
-                self.steps.append(self._steps(k, (k + 1) % L, there))
+            # The first layer is the only one whose postures became others after they were continued.
+            again[0], _ = self._continued(self.nodes[0], 1 % L)
+            self.steps += [self._steps(k, (k + 1) % L, there) for k, there in enumerate(again)]
         return None
 
     def _from_goal(self) -> list[Array]:
@@ -255,8 +280,7 @@ class Layers:
         ok = np.flatnonzero(np.isfinite(there).all(axis=0))
         if not len(ok):
             return Steps(ok, ok, np.empty(0))
-        scale = problem.scale[:, None]
-        tree = cKDTree((new / scale).T)
+        tree = tree_of(problem, new, self._rolled)
         # In three dimensions or more postures are sparse, and manifolds hang together.
         stride = (
             (STRIDE if problem.r < 3 else np.inf)
@@ -264,26 +288,28 @@ class Layers:
             else 2.0 * float((self.step[k] / problem.scale).max())
         )
         neighbours = min(NEIGHBOURS if self.step is None and problem.r < 3 else 2 * NEIGHBOURS, new.shape[1])
-        distance, end = tree.query((there[:, ok] / scale).T, k=neighbours, p=np.inf, distance_upper_bound=stride)
+        asked = rows_of(problem, there[:, ok], self._rolled)
+        distance, end = tree.query(asked, k=neighbours, p=np.inf, distance_upper_bound=stride)
         distance, end = distance.reshape(len(ok), -1), end.reshape(len(ok), -1)
         start = np.repeat(ok, end.shape[1])
         distance, end = distance.ravel(), end.ravel()
         # The other way round, too: no posture is left without the ones that are nearest to it.
-        other = cKDTree((there[:, ok] / scale).T)
-        back, of = other.query((new / scale).T, k=min(INCOMING, len(ok)), p=np.inf, distance_upper_bound=stride)
+        other, asked = tree_of(problem, there[:, ok], self._rolled), rows_of(problem, new, self._rolled)
+        back, of = other.query(asked, k=min(INCOMING, len(ok)), p=np.inf, distance_upper_bound=stride)
         distance, of = np.append(distance, back.ravel()), np.append(ok, -1)[of.reshape(new.shape[1], -1)].ravel()
         start, end = np.append(start, of), np.append(end, np.repeat(np.arange(new.shape[1]), len(of) // new.shape[1]))
         near = np.isfinite(distance)
         start, end, distance = start[near], end[near], distance[near]
         if self.step is not None:
-            near = (np.abs(new[:, end] - Q[:, start]) <= self.step[k][:, None]).all(axis=0)
+            near = (np.abs(self._way(Q[:, start], new[:, end])) <= self.step[k][:, None]).all(axis=0)
             start, end, distance = start[near], end[near], distance[near]
         elif problem.r < 3:
             far = np.flatnonzero(distance > SHORT)
             near = np.ones(len(start), bool)
-            near[far] = connected(problem, there[:, start[far]], new[:, end[far]], self.Z[following])
+            a = there[:, start[far]]
+            near[far] = connected(problem, a, a + self._way(a, new[:, end[far]]), self.Z[following])
             start, end = start[near], end[near]
-        motion = new[:, end] - Q[:, start]
+        motion = self._way(Q[:, start], new[:, end])
         cost = (problem.weights[:, None] * motion**2).sum(axis=0) / self.dt[k]
         cost += self.dt[k] * problem.cost(new)[end]
         order = np.argsort(end, kind="stable")
@@ -306,15 +332,26 @@ class Layers:
 
     # -- the best ways through -----------------------------------------------------------------------------------------
 
+    def _way(self, a: Array, b: Array) -> Array:
+        return way_between(a, b, self._rolled)
+
     def ways(self, most: int = 4) -> list[Array]:
         """The best ways through the layers that differ, as joints (L, n); no step is a jump where none is allowed."""
         if self.jumps or self.between is None:
             return self._ways(most)
-        return unbroken(self.problem, lambda: self._ways(most), self.nodes, self.steps, self.between)
+        found = unbroken(self.problem, lambda: self._ways(most), self.nodes, self.steps, self.between, self._way)
+        return [self._unrolled(way) for way in found] if self._rolled.any() else found
+
+    def _unrolled(self, way: Float[Array, "L n"]) -> Float[Array, "L n"]:
+        """Continuous joints of a way; those that may wind begin near 0 where the start is not given."""
+        q = np.cumsum(np.vstack((way[:1], self._way(way[:-1].T, way[1:].T).T)), axis=0)
+        turns = np.where(self._rolled, np.round(q[0] / TAU), 0.0)
+        return q if self.begin is not None else q - TAU * turns
 
     def _ways(self, most: int) -> list[Array]:
         if self.closed:
-            return closed_ways(self.nodes, self.steps, self.problem.scale, most)
+            begin = None if self.begin is None else 0
+            return closed_ways(self.nodes, self.steps, self.problem.scale, most, begin=begin)
         first = self.dt[0] * self.problem.cost(self.nodes[0])
         end = None if self.goal is None else 0
         return open_ways(self.nodes, self.steps, self.problem.scale, most, first, end=end, jumps=self.jumps)

@@ -19,7 +19,7 @@ from eos_pin.errors import SingularError
 from eos_pin.planning.courses import connected, unbroken
 from eos_pin.planning.manifolds.components import Component
 from eos_pin.planning.problem import TAU, Problem
-from eos_pin.planning.search import SHORT, Ticked
+from eos_pin.planning.search import SHORT, Ticked, rows_of, tree_of, way_between
 
 #: Distance of neighbouring postures along a component [rad].
 SPACING = 0.12
@@ -74,10 +74,7 @@ class WholeLayers:
         return Q - turn[:, None] * away
 
     def _way(self, a: Array, b: Array) -> Array:
-        """Motion from a to b, the short way round for joints that have room for a turn."""
-        d = b - a
-        d[self.rolled] -= TAU * np.round(d[self.rolled] / TAU)
-        return d
+        return way_between(a, b, self.rolled)
 
     def ways(self, most: int) -> list[Array]:
         """The best ways round that differ, as joints (L, n): closed, winding only where joints may wind."""
@@ -183,11 +180,8 @@ class WholeLayers:
         ok = np.flatnonzero(found)
         if not len(ok):
             return Steps(ok, ok, np.empty(0))
-        box = np.where(self.rolled, TAU, 1e6) / problem.scale
-        tree = cKDTree(self._wrapped(new), boxsize=box)
-        distance, end = tree.query(
-            self._wrapped(there[:, ok]), k=min(NEIGHBOURS, new.shape[1]), p=np.inf, distance_upper_bound=STRIDE
-        )
+        tree, asked = tree_of(problem, new, self.rolled), rows_of(problem, there[:, ok], self.rolled)
+        distance, end = tree.query(asked, k=min(NEIGHBOURS, new.shape[1]), p=np.inf, distance_upper_bound=STRIDE)
         distance, end = distance.reshape(len(ok), -1), end.reshape(len(ok), -1)
         start = np.repeat(ok, end.shape[1])
         distance, end = distance.ravel(), end.ravel()
@@ -203,12 +197,6 @@ class WholeLayers:
         cost += self.dt[k] * problem.cost(new)[end]
         order = np.argsort(end, kind="stable")
         return Steps(start[order], end[order], cost[order])
-
-    def _wrapped(self, Q: Float[Array, "n K"]) -> Float[Array, "K n"]:
-        """Postures as rows, joints that turn from 0 to a turn, the others far from the ends of their box."""
-        turned = np.where(self.rolled[:, None], np.mod(Q, TAU), Q + 5e5 * self.problem.scale[:, None] * 0.5)
-        turned[self.rolled] = np.where(turned[self.rolled] >= TAU, 0.0, turned[self.rolled])
-        return (turned / self.problem.scale[:, None]).T
 
     def _unrolled(self, way: Float[Array, "L n"]) -> Float[Array, "L n"] | None:
         """Continuous joints of a way within limits; None where they turn, or do not fit."""

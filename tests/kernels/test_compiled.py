@@ -35,6 +35,7 @@ from eos_pin._arrays import JointVector, border
 from eos_pin._kernels import tracing
 from eos_pin._kernels.dispatch import COMPILED, DONE, REFERENCES, UNDECIDED, WITH_PLAIN_FORMS, kernels, use_compiled
 from eos_pin._kernels.kinematics import MOST_NODES, SHORTEST
+from eos_pin._kernels.ways import relaxed
 from eos_pin.control import loop
 from eos_pin.control._regularize import AccelerationMap
 from eos_pin.control._smallest_change import SmallestChange
@@ -88,6 +89,20 @@ def test_kernels_are_compiled_with_a_compiler():
     assert kernels is not None
     assert set(REFERENCES) == {name for module in WITH_PLAIN_FORMS for name in COMPILED[module]}
     assert set(vars(kernels)) == {name for names in COMPILED.values() for name in names}
+
+
+def test_relaxed_is_equal_in_both_forms_where_costs_tie_and_postures_are_not_reached():
+    assert relaxed is kernels.relaxed
+    random = np.random.default_rng(0)
+    for edges, before, after, starts in ((0, 3, 4, 2), (60, 9, 12, 5), (400, 20, 15, 7)):
+        end = np.sort(random.integers(after - 2, size=edges))
+        value = np.where(random.random((before, starts)) < 0.4, np.inf, random.integers(3, size=(before, starts)))
+        cost = random.integers(3, size=edges).astype(float)
+        compiled, plain = both("relaxed", value, random.integers(before, size=edges), end, cost, after)
+        np.testing.assert_array_equal(compiled[0], plain[0])
+        np.testing.assert_array_equal(compiled[1], plain[1])
+        assert np.isinf(compiled[0][-1]).all()
+        assert (compiled[1][-1] == -1).all()
 
 
 def test_kernel_that_is_not_listed_is_refused():

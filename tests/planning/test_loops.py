@@ -8,7 +8,10 @@ from checks import TAU
 
 from eos_pin import EosController, FollowPlan, Plan, PoseTask, PositionTask, load_robot, simulate
 from eos_pin.errors import InputError, PlanError
+from eos_pin.planning.advice import changes_for
 from eos_pin.planning.planner import plan
+from eos_pin.planning.problem import problem_of
+from eos_pin.tasks.batch import Manifold
 
 
 def loop_of(robot, seed, part):
@@ -57,15 +60,16 @@ JOINT = """<link name="link{k}"><inertial><mass value="1"/>
 <child link="link{k}"/><origin xyz="{x} 0 0"/><axis xyz="0 0 1"/></joint>"""
 
 
-def around():
-    """A planar arm of three unit links, its tip at 2.5 around the base: each link has to turn with the tip."""
+def around(links=3):
+    """A planar arm of unit links, its tip at 2.5 around the base: each link has to turn with the tip."""
     joints = [
-        JOINT.format(k=k, before=k - 1, x=float(k > 1), kind="fixed" if k == 4 else "continuous") for k in range(1, 5)
+        JOINT.format(k=k, before=k - 1, x=float(k > 1), kind="fixed" if k > links else "continuous")
+        for k in range(1, links + 2)
     ]
-    robot = load_robot(CHAIN.format(joints="".join(joints)), chain_to="link4")
+    robot = load_robot(CHAIN.format(joints="".join(joints)), chain_to=f"link{links + 1}")
     s = np.linspace(0.0, 2.0 * np.pi, 33)
-    circle = np.column_stack((2.5 * np.cos(s), 2.5 * np.sin(s)))
-    return PositionTask(robot, "link4", "xy"), circle
+    circle = (links - 0.5) * np.column_stack((np.cos(s), np.sin(s)))
+    return PositionTask(robot, f"link{links + 1}", "xy"), circle
 
 
 def test_closed_path_that_only_whole_turns_follow_is_refused_by_name():
@@ -112,6 +116,26 @@ def test_plan_that_winds_is_followed_round_after_round():
     assert run.joint_drift_per_cycle.max() < 1e-5
     assert run.turns_per_cycle.tolist() == 2 * [[1, 0, 0]]
     assert run.info["joint_distance"]["max"] < 1e-5
+
+
+@pytest.mark.parametrize("links", [3, 5])
+def test_plan_that_may_wind_begins_where_it_is_told_to_and_with_more_redundancy(links):
+    task, circle = around(links)
+    start = plan(task, circle[:3], effort=1).q[0] if links == 3 else None
+    found = plan(task, circle, closed=True, effort=1, start=start, allow_winding=True)
+    assert found.winding.tolist() == [1, *(links - 1) * [0]]
+    assert start is None or np.abs(found.q[0] - start).max() < 1e-9
+    rows = found.joints(np.linspace(found.start, found.end, 301))
+    np.testing.assert_allclose(found.q[-1] - found.q[0], TAU * found.winding, atol=1e-9)
+    assert np.abs(np.diff(rows, axis=0)).max() < 0.1
+
+
+def test_whole_turns_are_tried_where_a_closed_path_was_refused():
+    problem = problem_of(Manifold(around()[0]), None, None, False, 0.0, 0.0, None, None, 1.0)
+    (change, _), open_ = changes_for(problem, (), False, True), changes_for(problem, (), False, False)
+    assert change.problem.winding
+    assert "--allow-winding" in change.words
+    assert "turns" not in " ".join(other.words for other in open_)
 
 
 def test_winding_is_allowed_where_it_means_something_only(panda):
