@@ -43,7 +43,7 @@ class _TimeUpError(Exception):
 
 
 class Deadline:
-    """A progress report that ends a search when its time is over, the processor's, whatever else it does.
+    """A progress report that ends a search when its time of the processor is over.
 
     Args:
         seconds: The time from now on.

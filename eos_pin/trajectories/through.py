@@ -63,7 +63,7 @@ class WaypointPath(Trajectory):
 
     @cached_property
     def _splines(self) -> tuple[Array, Array, Array]:
-        """Knots, the cubics between them, (K − 1, 4, width), and how far each column is on after the last."""
+        """Knots, the cubics between them, (K − 1, 4, width), and the gain of each column from first to last."""
         from scipy.interpolate import CubicSpline
 
         made, turns, span = list[Array](), list[Array](), self.times[-1] - self.times[0]
@@ -91,8 +91,7 @@ class WaypointPath(Trajectory):
             made.append(cubics)
             turns.append(turn)
         knots, turned = self.times, np.concatenate(turns)
-        rounds = max(map(len, made)) // min(map(len, made))
-        if rounds == 2:
+        if max(map(len, made)) > min(map(len, made)):
             knots = np.concatenate((knots, knots[1:] + span))
             made = [np.resize(cubics, (len(knots) - 1, *cubics.shape[1:])) for cubics in made]
             cubics = np.concatenate(made, axis=2)

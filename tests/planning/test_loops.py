@@ -119,7 +119,7 @@ def test_plan_that_winds_is_followed_round_after_round():
 
 
 @pytest.mark.parametrize("links", [3, 5])
-def test_plan_that_may_wind_begins_where_it_is_told_to_and_with_more_redundancy(links):
+def test_plan_that_may_wind_begins_at_a_given_start_and_has_more_redundancy(links):
     task, circle = around(links)
     start = plan(task, circle[:3], effort=1).q[0] if links == 3 else None
     found = plan(task, circle, closed=True, effort=1, start=start, allow_winding=True)
