@@ -63,7 +63,7 @@ def write_explorer(path: str | os.PathLike[str], task: Task, q: JointVector, *, 
 
 
 def described(task: Task, q: JointVector, *, self_collision: bool = True) -> tuple[dict[str, Any], str]:
-    """Robot and task in plain values for the page, and the name of what is dragged to move v."""
+    """Robot and task in plain values for the page, and the name of the handle that moves v."""
     robot = task.robot
     if task.m >= robot.n:
         raise InputError(
@@ -180,7 +180,7 @@ def _elsewhere(task: Task, q: JointVector, chart: Chart) -> tuple[list[list[floa
 
 
 def _furthest(robot: Robot, moved: Any) -> tuple[int, float]:
-    """Number of the joint whose origin moves furthest, and how far [m]."""
+    """Number of the joint whose origin moves furthest, and that distance [m]."""
     places = np.array([[robot.placement(q, name).translation for name in robot.joint_names] for q in moved])
     far = np.linalg.norm(np.ptp(places, axis=0), axis=1)
     return int(np.argmax(far)), float(far.max())

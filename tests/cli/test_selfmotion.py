@@ -53,7 +53,7 @@ def test_explore_writes_a_page_and_prints_its_name(capsys: pytest.CaptureFixture
         ("selfmotion ppr", "gravity does no work on the self-motion"),
         ("selfmotion ur5 --task pose", "it has no self-motion"),
         ("selfmotion panda --at 1 2", "the task point must be 3 numbers"),
-        ("explore panda --task point-axis", "the explorer has formulas for the tasks position"),
+        ("explore panda --task distance --point 0.5 0 0.3", "the explorer has formulas for the tasks position"),
         ("explore ur5 --task pose", "it has no self-motion to explore"),
         ("demo ur5", "the lesson is for a robot with one joint more"),
     ],
