@@ -86,7 +86,7 @@ def track(
         motion = loaded_plan(machine, plan, task.make(machine)[1] if task.q0 else None, control)
         goal, reference, q = motion.task, motion.path, motion.q
     else:
-        kept = control.self_motion == "planned" or (control.controller in EOS and control.command == "torque")
+        kept = control.self_motion == "planned" or control.controller in EOS
         goal, q = task.make(machine, kept=kept)
         reference = path.make(goal, q)
         if control.self_motion == "planned":

@@ -67,14 +67,18 @@ class SmallestChange:
         m: Number of task directions.
         n: Number of joints.
         order: Joints in the order in which they are kept; by default from the base outwards.
+        bands: Number of bands of the task, which are kept as well: their rows of a change have upper bounds, with the
+            prices of task directions. `into_bands` sets them for the next call.
 
     Attributes:
         program: The quadratic program.
         lost: Whether the last answer was without joints that are lost.
     """
 
-    def __init__(self, m: int, n: int, order: Sequence[int] | None = None) -> None:
-        self._made_from, self.lost = (m, n, order), False
+    def __init__(self, m: int, n: int, order: Sequence[int] | None = None, bands: int = 0) -> None:
+        self._made_from, self.lost = (m, n, order, bands), False
+        m += bands
+        self._bands, self._rows_of_bands = bands, np.zeros((bands, n))
         self._order = range(n) if order is None else order
         sizes = n, n, m
         # t and w are the slacks that daqp itself gives to soft limits, so only Δ is unknown.
@@ -186,6 +190,33 @@ class SmallestChange:
                     found, self._rows[:n], info["lam"][: 2 * n], self._lower[: 2 * n], self._upper[: 2 * n]
                 )
         return change
+
+    def into_bands(
+        self, J: Jacobian, ddq: JointVector, rows: Float[Array, "B n"], most: Float[Array, " B"]
+    ) -> JointVector:
+        """Smallest change of an acceleration that keeps rows · ddq ≤ most.
+
+        The bounds that it leaves count in the next call.
+
+        Args:
+            J: Jacobian of the task.
+            ddq: Acceleration.
+            rows: Rows of the bands.
+            most: Their bounds.
+        """
+        self._rows_of_bands, left, change, n = rows, most - rows.dot(ddq), np.zeros(ddq.size), ddq.size
+        bounds = slice(len(self._upper) - self._bands, None)
+        self._lower[bounds], self._upper[bounds] = -FAR, left
+        if (left < 0.0).any():
+            without = np.full(2 * n, FAR)
+            change = self(self.with_bands(J), np.eye(n), -without, without)
+            # Where a band cannot be kept, nothing is changed further for it.
+            self._upper[bounds] = np.maximum(left - rows.dot(change), 0.0)
+        return change
+
+    def with_bands(self, J: Jacobian) -> Float[Array, "rows n"]:
+        """Rows of the task and of the bands."""
+        return np.concatenate((J, self._rows_of_bands))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The workspace is made anew where it is unpickled.

@@ -33,6 +33,7 @@ from eos_pin.control.eos import law_for
 from eos_pin.control.limited import JointLimits
 from eos_pin.control.objectives import Objective
 from eos_pin.control.state import EosState, KinematicState, Solved
+from eos_pin.control.tolerance import Bands
 from eos_pin.errors import InputError, SingularError, StateError
 from eos_pin.tasks.base import Point, Task
 from eos_pin.trajectories.base import Target, Trajectory, check_reference
@@ -71,7 +72,7 @@ class KinematicLoop:
     accuracy of Newton's method, whatever the period. Position, velocity and acceleration limits are kept always. Where
     they leave no room for the motion that is asked for, the command changes as little as it can, and in a way that the
     task feels only where it must. Near a singularity the direction that is being lost fades out of the law, as in
-    `EosController`.
+    `EosController`. Coordinates with a tolerance are kept in their bands, see `Bands`, after the limits of joints.
 
     The loop goes on from its own last command, so noise of the encoders does not enter it; measured joints start a run
     and are compared with the command. A state that cannot be used, a clock that runs backwards, a jump, and joints that
@@ -117,7 +118,8 @@ class KinematicLoop:
         if atlas is not None and atlas.task is not task:
             raise InputError("the atlas must be made of the loop's own task object: atlas=Atlas(task)")
         self.task, self.robot, self.atlas = task, task.robot, atlas or Atlas(task)
-        self._smallest, self._eye = SmallestChange(task.m, task.robot.n), np.eye(task.robot.n)
+        self._smallest = SmallestChange(task.m, task.robot.n, bands=len(task.bands))
+        self._bands, self._eye = Bands(task) if task.bands else None, np.eye(task.robot.n)
         self.pace: float = 1.0
         self._ahead: tuple[Any, float, Target] | None = None
         self._version = object()
@@ -318,10 +320,13 @@ class KinematicLoop:
             pace = self.pace if part == 1.0 and abs(self.pace - pace) <= h * PACE_RATE else pace + part * gain
             found = solved(pace)
         a, on, limitless, J, goal, v_d = found
+        if self._bands is not None:
+            a = a + self._smallest.into_bands(J, a, *self._bands(self.reference, s, q, u, pace=pace))
+            J = self._smallest.with_bands(J)
         limited = bool(((a < least) | (a > most)).any())
         if limited:
             a = a + self._change(J, least - a, most - a)
-        q_next, z = self._solved(on, p, a, J, goal, exact=limitless and not limited)
+        q_next, z = self._solved(on, p, a, J[: task.m], goal, exact=limitless and not limited)
         u_next = (q_next - q) / h
         within = np.minimum(np.maximum(u_next, u + h * least), u + h * most)
         if not math.isfinite(within.dot(within)):

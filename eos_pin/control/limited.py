@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,8 @@ from eos_pin.control._smallest_change import SmallestChange
 from eos_pin.control.eos import EosController
 from eos_pin.control.objectives import Objective
 from eos_pin.control.overload import gravity_overload, keeping_order
+from eos_pin.control.state import EosState
+from eos_pin.control.tolerance import Bands
 from eos_pin.errors import InputError, Renamed, renamed
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
@@ -289,6 +291,8 @@ class LimitedEosController(EosController):
     in this short time it may exclude joints after it. `overload` lists beforehand the joints that cannot bear
     gravity.
 
+    Coordinates with a tolerance are kept in their `Bands`, after the limits of joints and before what is tracked.
+
     A target may lead out of reach and come back; the task is then taken up again. But the law is local: an arm that
     went through a singularity meanwhile, or began near one, may have come to where joint limits bar every way that
     lessens the error at once. It stays there until the target moves on, and `task_deficit` is the part it lacks. Three
@@ -330,6 +334,7 @@ class LimitedEosController(EosController):
         )
         self.limits = limits or JointLimits.from_robot(task.robot)
         self.control_period: float = control_period
+        self._bands = Bands(task) if task.bands else None
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name == "control_period":
@@ -342,6 +347,7 @@ class LimitedEosController(EosController):
         if name in ("limits", "control_period", "gravity"):
             # It holds copies.
             self.__dict__.pop("_within", None)
+            self.__dict__.pop("_smallest", None)
 
     @checked
     def overload(self, q: JointVector | None = None) -> tuple[str, ...]:
@@ -372,8 +378,23 @@ class LimitedEosController(EosController):
     ) -> Callable[[JointVector, JointVector, JointVector, Jacobian], tuple[JointVector, JointVector]]:
         """Torque within all limits, and the change that they make in the joint acceleration."""
         kept = self._viability
-        smallest = SmallestChange(self.task.m, self.robot.n, self.keeping_order)
-        return Limits(
+        within = Limits(
             self.control_period, kept.rate, kept.ends, kept.fastest, kept.braking, kept.acceleration,
-            self.limits.torque, CLEAR, FAST, TIMES, MET, self._model, smallest,
+            self.limits.torque, CLEAR, FAST, TIMES, MET, self._model, self._smallest,
         )  # fmt: skip
+        return within if self._bands is None else partial(self._within_bands, within)
+
+    def _within_bands(
+        self, within: Any, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian
+    ) -> tuple[JointVector, JointVector]:
+        return within(q, dq, ddq, self._smallest.with_bands(J))
+
+    @cached_property
+    def _smallest(self) -> SmallestChange:
+        return SmallestChange(self.task.m, self.robot.n, self.keeping_order, bands=len(self.task.bands))
+
+    def _drive(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> tuple[JointVector, float, Jacobian]:
+        ddq, margin, J = super()._drive(t, q, dq, state)
+        if self._bands is not None:
+            ddq = ddq + self._smallest.into_bands(J, ddq, *self._bands(self.reference, t, q, dq))
+        return ddq, margin, J

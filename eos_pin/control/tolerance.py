@@ -17,6 +17,8 @@ from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Target, Trajectory
 
+#: Rate at which the edge of a band is approached [1/s].
+RATE = 20.0
 #: Time over which bands are differenced [s].
 STEP = 1e-3
 #: Self-motion over which slopes are differenced [rad or m].
@@ -27,12 +29,51 @@ SLACK = 1e-4
 ROOM = 1e-3
 
 
+class Bands:
+    """Bands of a task with tolerances, as limits of the joint acceleration.
+
+    Of each band the part s that is used, squared, obeys s̈ ≤ 2 ρ (−ṡ) + ρ² (1 − s): then s ≤ 1 wherever it begins below,
+    and not too fast towards 1 (an exponential control barrier function); from beyond it comes back. s̈ is linear in the
+    joint acceleration.
+
+    Args:
+        task: The task.
+        rate: Rate ρ at which the edge of a band is approached [1/s].
+    """
+
+    def __init__(self, task: Task, rate: float = RATE) -> None:
+        self.task, self.rate = task, rate
+        self.count = len(task.bands)
+        self._sides = SMALL * np.concatenate((np.eye(task.robot.n), -np.eye(task.robot.n)))
+
+    def __call__(
+        self, reference: Trajectory, t: float, q: JointVector, dq: JointVector, *, pace: float = 1.0
+    ) -> tuple[Float[Array, "B n"], Float[Array, " B"]]:
+        """Rows S and bounds b; S ddq ≤ b keeps every band.
+
+        Args:
+            reference: Path of the task, the middle of the bands.
+            t: Time on it [s].
+            q: Joints.
+            dq: Joint velocities.
+            pace: Speed of the time on the path.
+        """
+        n, ahead, later = q.size, STEP * dq, STEP * pace
+        targets = np.array([reference(t).z, reference(t + later).z, reference(t - later).z])
+        Q = np.concatenate(([q, q + ahead, q - ahead], q + self._sides))
+        Z = np.concatenate((targets, np.broadcast_to(targets[0], (2 * n, len(targets[0])))))
+        used = self.task.used(self.task.whole.kinematics.value(Q), Z)
+        s = np.square(used).sum(axis=2) / (1.0 - ROOM) ** 2
+        rate, bend = (s[1] - s[2]) / (2.0 * STEP), (s[1] - 2.0 * s[0] + s[2]) / STEP**2
+        most = -2.0 * self.rate * rate + self.rate**2 * (1.0 - s[0]) - bend
+        return ((s[3 : n + 3] - s[n + 3 :]) / (2.0 * SMALL)).T, most
+
+
 class KeepTolerance(Objective):
     """Another law, changed the least where coordinates with a tolerance would leave their bands.
 
-    Of each band the part s that is used, squared, obeys s̈ ≤ 2 ρ (−ṡ) + ρ² (1 − s) while the task is on its own law:
-    then s ≤ 1 wherever it begins below, and not too fast towards 1 (an exponential control barrier function). Limits of
-    joints come before the bands where `LimitedEosController` cannot keep both.
+    For `EosController`; `LimitedEosController` and `KinematicLoop` keep the bands by themselves, within the limits of
+    joints, too. See `Bands`.
 
     Args:
         law: The law that is changed.
@@ -50,12 +91,13 @@ class KeepTolerance(Objective):
         task: Task,
         reference: Trajectory,
         *,
-        rate: float = 20.0,
+        rate: float = RATE,
         kp: float | VectorLike = 100.0,
         kd: float | VectorLike = 20.0,
     ) -> None:
         self.law, self.task, self.reference = law, task, reference
         self.rate = number(rate, "the rate", above=0.0)
+        self._bands = Bands(task, self.rate)
         self.kp, self.kd = (gains(k, task.m, "a gain on the task") for k in (kp, kd))
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -70,24 +112,11 @@ class KeepTolerance(Objective):
         ddq = chart.acceleration(point.J, F_z, asked)
         rest = np.zeros(self.task.m)
         D = np.column_stack([chart.acceleration(point.J, rest, unit) for unit in np.eye(chart.r)])
-        # Along the motion that is asked for, and beside it along the self-motion.
-        ahead, curve = STEP * dq, 0.5 * STEP**2 * ddq
-        moved = [q, q + ahead + curve, q - ahead + curve]
-        sides = [q + side * SMALL * d for d in D.T for side in (1.0, -1.0)]
-        targets = [target.z, self.reference(t + STEP).z, self.reference(t - STEP).z] + [target.z] * len(sides)
-        s = self._used(np.array(moved + sides), np.array(targets))
-        slope = (s[3::2] - s[4::2]) / (2.0 * SMALL)
-        rate, bend = (s[1] - s[2]) / (2.0 * STEP), (s[1] - 2.0 * s[0] + s[2]) / STEP**2
-        most = -2.0 * self.rate * rate + self.rate**2 * (1.0 - s[0])
-        return asked + _smallest(slope.T, most - bend)
+        rows, most = self._bands(self.reference, t, q, dq)
+        return asked + _smallest(rows.dot(D), most - rows.dot(ddq))
 
     def joint_acceleration(self, t: float, q: JointVector, dq: JointVector, robot: Robot) -> JointVector | None:
         return self.law._joint_acceleration(t, q, dq, robot)
-
-    def _used(self, Q: Float[Array, "K n"], Z: Float[Array, "K size"]) -> Float[Array, "K B"]:
-        """Squared part of each band that is used."""
-        used = self.task.used(self.task.whole.kinematics.value(Q), Z)
-        return np.square(used).sum(axis=2) / (1.0 - ROOM) ** 2
 
     def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
         return Objective.sampled_targets(self, t, period, step, r)

@@ -213,7 +213,8 @@ class ControlOptions:
             return soft_controller(self, task, reference, atlas)
         if law is None:
             law = self._law(task, reference, q)
-            if task.bands:
+            # The other one keeps bands by itself.
+            if task.bands and self.controller == "eos":
                 law = KeepTolerance(law, task, reference, kp=self.kp, kd=self.kd)
         if self.controller == "eos":
             return EosController(task, reference, law, kp=self.kp, kd=self.kd, atlas=atlas)

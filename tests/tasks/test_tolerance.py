@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -11,25 +12,32 @@ import pytest
 from eos_pin import (
     AxisTask,
     Chart,
+    Damp,
     EosController,
     FollowPlan,
+    Hold,
     InputError,
+    JointLimits,
     KeepTolerance,
+    KinematicLoop,
     LimitedEosController,
     OrientationTask,
     PlanError,
     PointAxisTask,
     PoseTask,
     PositionTask,
+    TaskForce,
     ToleranceTask,
     Tool,
     Track,
     load_robot,
     plan,
     simulate,
+    simulate_kinematic,
     simulate_sampled,
     task_from_description,
 )
+from eos_pin.control.tolerance import Bands
 from eos_pin.trajectories.through import waypoint_path
 
 
@@ -161,23 +169,80 @@ def test_tolerance_task_refuses_tolerances_it_cannot_keep(ur5, kind, tolerance, 
         ToleranceTask(kind(ur5, "tool0"), tolerance)
 
 
+def largest_part(task, run, path):
+    """Largest part of a band that a run uses."""
+    points = np.array([path(t).z for t in run.t])
+    return np.linalg.norm(task.used(task.whole.kinematics.value(run.q), points), axis=2).max()
+
+
 def test_control_keeps_a_tolerance_that_its_law_would_leave(torch):
     whole, poses = PoseTask(torch, "torch"), wavy()
     task = ToleranceTask(whole, {"rz": 0.15, "cone": 0.1})
     start = plan(whole, poses, closed=True)
     path = waypoint_path(task, poses, np.linspace(0.0, 3.0, len(poses)), closed=True)
     q, used = start.q[0], {}
-    for name, law in (("held", Track()), ("kept", KeepTolerance(Track(), task, path))):
-        target = path(0.0)
-        chart = Chart.from_base(task, q)
-        dq = chart.acceleration(task.linearize(q)[1], target.dz, np.zeros(chart.r))
-        controller = LimitedEosController(task, path, law, control_period=2e-3)
-        run = simulate_sampled(torch, controller, q, dq=dq, duration=0.9)
-        assert np.abs(run.error).max() < 1e-4
-        points = np.array([path(t).z for t in run.t])
-        used[name] = np.linalg.norm(task.used(whole.kinematics.value(run.q), points), axis=2).max()
+    chart = Chart.from_base(task, q)
+    dq = chart.acceleration(task.linearize(q)[1], path(0.0).dz, np.zeros(chart.r))
+    for name, controller in {
+        "held": EosController(task, path),
+        "law": EosController(task, path, KeepTolerance(Track(), task, path)),
+        "limits": LimitedEosController(task, path, control_period=4e-3),
+    }.items():
+        run = simulate_sampled(torch, controller, q, dq=dq, duration=0.9, control_period=4e-3)
+        assert np.abs(run.error).max() < 4e-4
+        used[name] = largest_part(task, run, path)
+    run = simulate_kinematic(KinematicLoop(task, path, control_period=4e-3), q, duration=0.9)
+    used["kinematic"] = largest_part(task, run, path)
     assert used["held"] > 1.5
-    assert 0.9 < used["kept"] <= 1.0
+    for name in ("law", "limits", "kinematic"):
+        assert 0.9 < used[name] <= 1.0, name
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_robot("panda", chain_to="panda_hand_tcp")
+
+
+POSTURE = np.array([0.0, -0.4, 0.0, -2.1, 0.0, 1.75, 0.8])
+
+
+def test_bands_are_kept_where_joints_are_at_their_limits(arm):
+    whole, random, limits = PointAxisTask(arm, "panda_hand_tcp"), np.random.default_rng(0), JointLimits.from_robot(arm)
+    task, active, left = ToleranceTask(whole, {"cone": 0.2}), 0, 0
+    bands = Bands(task)
+    for _ in range(30):
+        q, dq = POSTURE + random.uniform(-0.3, 0.3, 7), 0.1 * random.normal(size=7)
+        # Near the edge of the cone, and two joints near their limits.
+        tilt = np.insert(random.normal(size=2), 0, np.zeros(3))
+        path = Hold(whole.plus(task.value(q), 0.196 * tilt / np.linalg.norm(tilt)), task.m)
+        upper, near = limits.upper.copy(), random.choice(7, 2, replace=False)
+        upper[near] = q[near] + 0.004
+        within, law = replace(limits, upper=upper), Track(0.5 * random.normal(size=4))
+        controller, free = LimitedEosController(task, path, law, limits=within), EosController(task, path, law)
+        rows, most = bands(path, 0.0, q, dq)
+        least, largest = within.accelerations(q, dq, 1e-3)
+        asked, found = (
+            arm.forward_dynamics(q, dq, c.torque(0.0, q, dq, c.start(0.0, q, dq))) for c in (free, controller)
+        )
+        active += bool(((asked < least) | (asked > largest)).any())
+        left += bool((rows @ asked > most).any())
+        # They are kept in the middle of the period, not at its start.
+        assert (rows @ found <= most + 0.2).all()
+        assert ((found >= least - 0.2) & (found <= largest + 0.2)).all()
+    assert active > 8
+    assert left > 8
+
+
+def test_axis_comes_back_into_its_cone_after_a_push(arm):
+    whole = PointAxisTask(arm, "panda_hand_tcp")
+    task = ToleranceTask(whole, {"cone": 0.2})
+    path = Hold(task.value(POSTURE), task.m)
+    controller = LimitedEosController(task, path, Damp(5.0), control_period=2e-3)
+    push = TaskForce(PoseTask(arm, "panda_hand_tcp"), lambda t: 10.0 * (t < 0.15) * np.array([0, 0, 0, 0.3, 1.0, 0]))
+    run = simulate_sampled(arm, controller, POSTURE, duration=0.8, task_force=push)
+    used = np.linalg.norm(task.used(whole.kinematics.value(run.q), path.z[None]), axis=2)[:, 0]
+    assert used.max() > 1.05
+    assert used[run.t > 0.5].max() <= 1.0
 
 
 def test_smallest_change_within_bands_is_that_of_a_general_solver():
