@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from eos_pin import PoseTask, load_robot
+from eos_pin import PoseTask, Robot, load_robot
 from eos_pin.errors import EosError
 from eos_pin.planning.obstacles.bodies import Bodies
 from eos_pin.planning.obstacles.scene import Box, Capsule, Scene
@@ -35,14 +35,11 @@ TURN, SLIDE = np.radians(7.0), 0.02
 def solve(folder: Path, problem: dict[str, Any], robots: dict[str, Any], seed: int) -> tuple[list[str], Any, float]:
     """Names of the joints, joints at the way points or the message of a refusal, and seconds."""
     spec = robots[problem["robot"]]
-    path = folder / spec["urdf"]
-    chain = load_robot(path, chain_to=spec["frame"])
-    still = [joint.name for joint in chain.joints if joint.name not in spec["joints"]]
-    robot = load_robot(path, chain_to=spec["frame"], lock=dict.fromkeys(still, 0.0)) if still else chain
+    robot = robot_of(folder, spec)
     capsules = {link: Capsule(c["from"], c["to"], c["radius"], link) for link, c in spec["capsules"].items()}
     bodies = Bodies.of(robot, capsules, spec["pairs_not_checked"])
     boxes = [Box(box["centre"], box["size"], name=f"box {i}") for i, box in enumerate(problem["boxes"], 1)]
-    points = [pin.SE3(_rotation(row[3:]), np.array(row[:3])) for row in problem["waypoints"]]
+    points = [pin.SE3(rotation(row[3:]), np.array(row[:3])) for row in problem["waypoints"]]
     turning = np.array([joint.kind != "prismatic" for joint in robot.joints])
     began = time.perf_counter()
     try:
@@ -63,7 +60,15 @@ def solve(folder: Path, problem: dict[str, Any], robots: dict[str, Any], seed: i
     return [joint.name for joint in robot.joints], found.at_waypoints(len(points)), seconds
 
 
-def _rotation(wxyz: list[float]) -> np.ndarray:
+def robot_of(folder: Path, spec: dict[str, Any]) -> Robot:
+    """The robot of an entry of robots.json, with the joints that move."""
+    path = folder / spec["urdf"]
+    chain = load_robot(path, chain_to=spec["frame"])
+    still = [joint.name for joint in chain.joints if joint.name not in spec["joints"]]
+    return load_robot(path, chain_to=spec["frame"], lock=dict.fromkeys(still, 0.0)) if still else chain
+
+
+def rotation(wxyz: list[float]) -> np.ndarray:
     """Rotation matrix of a quaternion whose digits were rounded."""
     w, x, y, z = wxyz
     quaternion = pin.Quaternion(w, x, y, z)
@@ -120,7 +125,7 @@ class Check:
             pin.updateFramePlacements(model, data)
             pose = data.oMf[frame]
             place = max(place, float(np.linalg.norm(pose.translation - row[:3])))
-            turn = max(turn, float(np.linalg.norm(pin.log3(pose.rotation @ _rotation(row[3:]).T))))
+            turn = max(turn, float(np.linalg.norm(pin.log3(pose.rotation @ rotation(row[3:]).T))))
             clear = min(clear, self._clearance(problem["boxes"]))
         steps = np.abs(np.diff(joints, axis=0))
         lower, upper = self._limits(names)

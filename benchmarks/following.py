@@ -8,7 +8,8 @@
   reason; each refusal is judged by something else, a walk along the manifold or a roadmap of it.
 * `disturbed`: pushes, pauses and changes of speed: how far from the plan the joints are in the end.
 
-Results are kept in the file of `--json` after each case; a run that was stopped goes on from there.
+Results are kept in the file of `--json` after each case; a run that was stopped goes on from there. With `--count 0`
+what is there is shown, or written.
 """
 
 from __future__ import annotations
@@ -68,6 +69,8 @@ ARMS = {"panda": "panda_hand_tcp", "xarm7": "auto", "kinova": "auto", "talos_ful
 SHAPES = ("circle", "eight", "polygon")
 #: A round repeats where no joint comes back further off than this, and limits are kept up to it [rad]; way points.
 REPEATS, POINTS = 1e-6, 96
+#: Number of paths that the table is meant for.
+PATHS = 200
 ROUNDS, THRESHOLD = 2, 0.5
 #: A path is followed to this [m, rad]; and steps of Pink in a round.
 FOLLOWS, STEPS = 1e-3, 2000
@@ -386,7 +389,7 @@ def told(command: str, rows: list[dict[str, Any]]) -> tuple[str, list[str], list
                 f"{sum(m['inside'] for m in of)} of {len(of)}", f"{worst:.1e}",
             ])  # fmt: skip
         columns = ["method", "repeats within limits", "of these where v held changes charts", "stays within limits"]
-        title = f"{len(rows)} closed paths; on {len(changing)} of them v that is held changes charts"
+        title = f"{len(rows)} of {PATHS} closed paths; on {len(changing)} of them v that is held changes charts"
         return title, [*columns, "largest drift of those that repeat, rad a round"], cells
     cells = []
     for outcome, judged_as in sorted({(row["outcome"], row.get("judged", "")) for row in rows}):
