@@ -48,6 +48,7 @@ from eos_pin import (
 )
 from eos_pin._arrays import ORTHONORMAL, border
 from eos_pin._kernels.dispatch import REFERENCES, kernels
+from eos_pin._kernels.ways import relaxed
 from eos_pin.cli.main import run
 from eos_pin.cli.output import console, grid, stderr, write_json
 from eos_pin.control._smallest_change import SmallestChange
@@ -131,6 +132,10 @@ def twins() -> tuple[Calls, Calls]:
             pairs["Accepted"] = partial(fast, (task, REST, dq), {}), partial(slow, (task, REST, dq), {})
             pairs["within_limits_fast"] = _pair("within_limits_fast", REST, np.full(7, 0.01))
             pairs["largest"] = _pair("largest", error)
+            # A layer of a search: every posture goes on to every one of the next.
+            end, start = (part.ravel() for part in np.indices((40, 40)))
+            layer = np.zeros((40, 40)), start, end, np.ones(1600), 40
+            pairs["relaxed"] = partial(relaxed, *layer), partial(REFERENCES["relaxed"], *layer)
             pairs["state_rate"] = _pair("state_rate", dq, dq_last, REST)
             curve = path.waves.at
             pairs["Curve"] = partial(curve, 0.1), partial(REFERENCES["Curve"](*curve.__reduce__()[1]), 0.1)
