@@ -28,7 +28,20 @@ import numpy as np
 from joblib import Parallel, delayed
 from marked import HOME, fill
 from rich.progress import track
-from weak_joints import NARROW, PARTS, VERDICTS, WRONG, Outcome, divided_steps, weak_figures, weak_one, weak_step
+from weak_joints import (
+    ENDING,
+    EXCLUDED,
+    HOPELESS,
+    NARROW,
+    NOT_ALONE,
+    PARTS,
+    WRONG,
+    Outcome,
+    divided_steps,
+    weak_figures,
+    weak_one,
+    weak_step,
+)
 
 from eos_pin import (
     EosError,
@@ -53,19 +66,13 @@ PERIODS = (1e-3, 5e-4, 2.5e-4)
 #: Document that --write fills.
 DOCUMENT = HOME / "docs" / "limits.md"
 #: Verdicts in the words of the document.
-TOLD = dict(
-    zip(
-        VERDICTS,
-        (
-            "were hopeless",
-            "could not be kept while hopeless ones brake",
-            "were excluded by joints before them",
-            "by help that had not ended yet",
-            "could have been kept",
-        ),
-        strict=True,
-    )
-)
+TOLD = {
+    HOPELESS: "were hopeless",
+    NOT_ALONE: "could not be kept while hopeless ones brake",
+    EXCLUDED: "were excluded by joints before them",
+    ENDING: "by help that had not ended yet",
+    WRONG: "could have been kept",
+}
 
 
 def example(seed: int, period: float = 1e-3, *, rate: float = 200.0) -> Result:

@@ -296,11 +296,11 @@ cdef class ChangeProgram:
         """Whether the active set method comes to rest, where the smallest change x is then."""
         cdef Py_ssize_t n = self.n, m = self.m, k
         cdef int attempt
-        # The task as it is, to begin with, and bounds that zero passes.
-        for k in range(2 * n):
+        # Bounds that zero passes, to begin with, and the task as it is; a band has a lower bound that is far away.
+        for k in range(2 * n + m):
             self.side[k] = 1 if self.upper[k] < 0.0 else -1 if self.lower[k] > 0.0 else 0
-        for k in range(2 * n, 2 * n + m):
-            self.side[k] = WHOLE
+            if k >= 2 * n and self.lower[k] == -self.upper[k]:
+                self.side[k] = WHOLE
         for attempt in range(ROUNDS):
             if not self.on_sides(x):
                 return False

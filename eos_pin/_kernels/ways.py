@@ -56,7 +56,7 @@ def open_ways(
     """
     values, back = [first], list[Array]()
     for k, step in enumerate(steps):
-        value, via = _relaxed(values[-1], step, nodes[k + 1].shape[1])
+        value, via = (one[:, 0] for one in relaxed(values[-1].reshape(-1, 1), *step, nodes[k + 1].shape[1]))
         if jumps and np.isfinite(values[-1]).any():
             best = int(values[-1].argmin())
             jump = values[-1][best] + RECONFIGURATION
@@ -142,17 +142,6 @@ def _add(ways: list[Array], way: Array, scale: Array) -> None:
     """Add a way unless one of the others is nearly the same."""
     if all(np.abs((way - other) / scale).max(axis=1).mean() > 0.5 for other in ways):
         ways.append(way)
-
-
-def _relaxed(value: Array, steps: Steps, count: int) -> tuple[Array, Array]:
-    """Least cost of each posture of the next layer, and where it comes from."""
-    out, via = np.full(count, np.inf), np.full(count, -1)
-    if len(steps.end):
-        total = value[steps.start] + steps.cost
-        order = np.lexsort((total, steps.end))
-        ends, first = np.unique(steps.end[order], return_index=True)
-        out[ends], via[ends] = total[order][first], steps.start[order][first]
-    return out, via
 
 
 @use_compiled

@@ -290,6 +290,7 @@ class KinematicLoop:
         """State after the step at time t."""
         task, h, q, u, r = self.task, self._period, state.q, state.dq, self.robot.n - self.task.m
         known = state.reference is self.reference and abs(t - state.t - h) <= LATE * h
+        # Path time stays behind while the pace is less than 1.
         behind, pace = state.behind + (1.0 - state.pace) * (t - state.t), state.pace
         s = t - behind
         now, law = self._target(s), self.self_motion._sampled_targets(s, h, h * pace, r)

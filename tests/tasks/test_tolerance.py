@@ -186,10 +186,10 @@ def test_control_keeps_a_tolerance_that_its_law_would_leave(torch):
     for name, controller in {
         "held": EosController(task, path),
         "law": EosController(task, path, KeepTolerance(Track(), task, path)),
-        "limits": LimitedEosController(task, path, control_period=4e-3),
+        "limits": LimitedEosController(task, path, control_period=2e-3),
     }.items():
-        run = simulate_sampled(torch, controller, q, dq=dq, duration=0.9, control_period=4e-3)
-        assert np.abs(run.error).max() < 4e-4
+        run = simulate_sampled(torch, controller, q, dq=dq, duration=0.9, control_period=2e-3)
+        assert np.abs(run.error).max() < 1e-4
         used[name] = largest_part(task, run, path)
     run = simulate_kinematic(KinematicLoop(task, path, control_period=4e-3), q, duration=0.9)
     used["kinematic"] = largest_part(task, run, path)
