@@ -15,7 +15,8 @@ sys.path.insert(0, str(HERE))
 project, author, version = "eos_pin", "the authors of eos_pin", eos_pin.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 html_theme, html_title = "furo", f"eos_pin {version}"
-html_static_path: list[str] = []
+html_static_path, html_css_files = ["static"], ["pages.css"]
+html_show_copyright = False
 exclude_patterns = ["_build"]
 # Of the links to other sites only whether they answer is checked: `python -m sphinx -b linkcheck docs build/links`.
 linkcheck_anchors = False

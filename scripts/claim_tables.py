@@ -1,4 +1,4 @@
-"""The runs that the paper's claims need, and the tables of claims in the README and docs."""
+"""The runs that the paper's claims need, and the tables of claims in the docs."""
 
 from __future__ import annotations
 

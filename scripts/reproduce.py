@@ -41,7 +41,7 @@ def main(
     jobs: int = 2,
     study: bool = True,
     pictures: bool = True,
-    update_readme: bool = False,
+    update_docs: bool = False,
 ) -> int:
     """Reproduce the paper: run every example, check every claim, write every figure, replay and animation.
 
@@ -51,7 +51,7 @@ def main(
 
       python scripts/reproduce.py
       python scripts/reproduce.py --no-study --no-pictures --table claims.md
-      python scripts/reproduce.py --update-readme
+      python scripts/reproduce.py --update-docs
 
     Args:
         out: Folder for everything.
@@ -60,7 +60,7 @@ def main(
         jobs: Processes to use.
         study: Measure every claim at rtol 1e-6, 1e-9 and 1e-12 as well.
         pictures: Write figures (PNG and PDF), replays (HTML) and animations (GIF).
-        update_readme: Write the tables into README.md, and with a study into docs/paper.md.
+        update_docs: Write the table of claims into docs/paper.md, with a study that of tolerances too.
     """
     tolerances = (None, *TOLERANCES) if study else (None,)
     work = [(label, name, rtol) for label in PLAN for name in PLAN[label]().experiments for rtol in tolerances]
@@ -78,12 +78,12 @@ def main(
     named = {f"{label}, {name}": result for label, example in runs.items() for name, result in example.items()}
     write_json(json or out / "claims.json", figures(named, claims))
     _write(table or out / "claims.md", claims_table(claims))
-    if update_readme:
-        update_block(ROOT / "README.md", "claims", claims_table(claims), "The paper's claims")
+    if update_docs:
+        update_block(ROOT / "docs" / "paper.md", "claims", claims_table(claims), "The claims")
     if study:
         tolerance_table = study_table({rtol: measure(results[rtol]) for rtol in TOLERANCES})
         _write(out / "tolerances.md", tolerance_table)
-        if update_readme:
+        if update_docs:
             update_block(ROOT / "docs" / "paper.md", "tolerances", tolerance_table, "Physics or integration error")
     holding = sum(claim.holds for claim in claims)
     console.print(f"{holding} of {len(claims)} claims hold. Everything is in {out}.")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import html
 import re
 import shlex
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 
@@ -21,7 +23,7 @@ def blocks(page, language):
 
 
 @pytest.mark.usefixtures("unchecked")
-# The parts of the page on planning go on from plans that take long; its test picks some.
+# The page on planning is run by its own test, which looks at what it finds.
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python") and page != "planning"])
 def test_examples_of_a_page_run_one_after_the_other(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -48,6 +50,14 @@ def test_site_builds_without_a_warning(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     # Nothing is fetched when a page is opened from disk.
-    for page in (tmp_path / "site").rglob("*.html"):
-        text = page.read_text(encoding="utf-8")
+    texts = {page: page.read_text(encoding="utf-8") for page in (tmp_path / "site").rglob("*.html")}
+    anchors = {page: set(re.findall(r"\b(?:id|name)=\"([^\"]+)\"", text)) for page, text in texts.items()}
+    for page, text in texts.items():
         assert not re.findall(r"<(?:script|link|img|iframe)\b[^>]*\b(?:src|href)=\"https?:", text), page
+        # Each link within the site leads somewhere.
+        for link in re.findall(r"<(?:a|script|link|img|iframe)\b[^>]*\b(?:src|href)=\"([^\"]+)\"", text):
+            file, _, anchor = unquote(html.unescape(link)).partition("#")
+            if not re.match(r"https?:|data:|mailto:", file):
+                target = (page.parent / file.partition("?")[0]).resolve() if file else page
+                assert target.exists(), f"{page}: {link}"
+                assert not anchor or anchor in anchors.get(target, {anchor}), f"{page}: {link}"

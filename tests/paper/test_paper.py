@@ -243,7 +243,7 @@ def test_posture_control_of_the_chain_repeats_but_for_a_turn_of_one_joint(runs):
 
 
 @pytest.mark.slow
-def test_reproduce_checks_every_claim_and_the_readme_has_the_measurements(
+def test_reproduce_checks_every_claim_and_the_docs_have_the_measurements(
     runs, tmp_path, monkeypatch, capsys, unchecked
 ):
     monkeypatch.setattr(reproduce, "simulate", lambda label, name, rtol: runs[label][name])
@@ -252,9 +252,9 @@ def test_reproduce_checks_every_claim_and_the_readme_has_the_measurements(
     assert len(claims) > 30
     assert [claim for claim in claims if not claim["holds"]] == []
     assert f"{len(claims)} of {len(claims)} claims hold" in capsys.readouterr().out
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    block = readme.partition("<!-- claims -->\n")[2].partition("<!-- /claims -->")[0]
-    assert block == (tmp_path / "claims.md").read_text(), "run: python scripts/reproduce.py --update-readme"
+    page = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
+    block = page.partition("<!-- claims -->\n")[2].partition("<!-- /claims -->")[0]
+    assert block == (tmp_path / "claims.md").read_text(), "run: python scripts/reproduce.py --update-docs"
 
 
 @pytest.mark.slow
