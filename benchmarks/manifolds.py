@@ -1,6 +1,6 @@
 """Self-motion manifolds: all components, closure, small arcs, and how long they take.
 
-    python benchmarks/manifolds.py [--poses 200] [--arms NAME ...] [--json FILE]
+    python benchmarks/manifolds.py [--poses 200] [--arms NAME ...] [--json FILE] [--write]
 
 Arms that ssik knows in closed form are compared with it, where `benchmarks/peers.py setup ssik` has installed it: the
 components are as many and the points are the same. On arms that it refuses, three seeds must find the same components,
@@ -16,11 +16,13 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import marked
 import numpy as np
 import pinocchio as pin
 import tyro
@@ -70,7 +72,7 @@ class Arm:
     Attributes:
         name: The robot.
         components: Number of components, the least and the most.
-        loop_ms: Milliseconds to trace one component, median and most.
+        loop_ms: Milliseconds to trace one component, the least of three times, median and most.
         all_ms: Milliseconds for the whole manifold with its arcs, median.
         closure: Largest gap of a loop, whole turns left aside, or task error of a node [rad, m].
         same: Poses at which all seeds found the same components.
@@ -168,9 +170,7 @@ def look(name: str, count: int) -> tuple[Arm, PoseTask, np.ndarray, list[SelfMot
             nodes = component.curve.q
             gap = np.abs(nodes[-1] - nodes[0] - 2.0 * np.pi * component.winding).max() if component.closed else np.inf
             arm.closure = max(arm.closure, float(gap), float(kinematics.residual(nodes, z).max()))
-            start = time.thread_time()
-            kinematics.trace(nodes[0], z=z)
-            arm.loop_ms.append(1e3 * (time.thread_time() - start))
+            arm.loop_ms.append(1e3 * min(_seconds(partial(kinematics.trace, nodes[0], z=z)) for _ in range(3)))
         # The room is about q, anywhere within it.
         width = random.choice(ROOM)
         lower = q - width * random.uniform(0.0, 2.0, robot.n)
@@ -181,6 +181,13 @@ def look(name: str, count: int) -> tuple[Arm, PoseTask, np.ndarray, list[SelfMot
             arm.arcs += bool(inside and kinematics.residual(posture[None], z).max() <= 1e-9)
         manifolds.append(found[0])
     return arm, task, postures(robot, count), manifolds
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    """Time of the processor that work takes."""
+    start = time.thread_time()
+    work()
+    return time.thread_time() - start
 
 
 def compare(arm: Arm, task: PoseTask, joints: np.ndarray, manifolds: Sequence[SelfMotionManifold]) -> None:
@@ -288,6 +295,7 @@ def manifolds(
     poses: int = 200,
     arms: tuple[str, ...] = tuple(ARMS),
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
+    write: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> int:
     """Find and time the self-motion manifolds of arms at random poses.
 
@@ -295,14 +303,17 @@ def manifolds(
         poses: Poses of each arm.
         arms: Which arms.
         json_file: File for the figures.
+        write: Write the table into docs/planning.md.
     """
     unknown = sorted({*arms} - {*ARMS})
     if unknown or poses < 1:
         raise InputError(f"at least one pose is needed, and arms are some of {'; '.join(ARMS)}; got {poses}, {unknown}")
     found = list(_measured(arms, poses))
-    columns = ("arm", "components", "loop, ms", "all, ms", "closure", "same, 3 seeds", "small arcs", "ssik")
+    columns = ("arm", "components", "loop, ms", "all, ms", "closure", f"same, {SEEDS} seeds", "small arcs", "ssik")
     wide = Console(highlight=False, width=max(console.width, 160))
     wide.print(grid(f"Self-motion manifolds at {poses} poses", columns, [arm.row for arm in found]))
+    if write:
+        marked.fill(marked.PLANNING, "manifolds", "\n" + marked.table(columns, [arm.row for arm in found]))
     if json_file is not None:
         write_json(json_file, {"arms": [asdict(arm) for arm in found]})
     return 0

@@ -3,7 +3,7 @@
 * `loops`: paths made by forward kinematics from random closed joint loops within limits, so that each has a solution. A
   plan must be found, keep the limits, and not cost more than the loop it was made from. What is checked is the table of
   joints, by Pinocchio alone. Results are kept in the file of `--json` after each loop; a run that was stopped goes on.
-* `fourr`: Kazerounian and Wang's planar arm (1987), whose least ∫|dq/ds|² ds is known, from 20 seeds.
+* `fourr`: Kazerounian and Wang's planar arm (1987), whose least ∫‖dq/ds‖² ds is known, from 20 seeds.
 * `iklink`: a path of 767 way points on which joints must jump; how few times.
 * `evidence`: on that path, whether fewer jumps than that could do.
 * `convergence`: the cost of plans of the same paths at more and more points, as a table and a figure.
@@ -108,12 +108,26 @@ def loops(options: argparse.Namespace) -> int:
             flush=True,
         )
     good = [row for row in rows if row["planned"] and row["accepted"]]
-    print(
+    columns = ["robot", "task", "planned and accepted", "cost / loop's own, median", "largest", "charts of held v", "s"]
+    cells = []
+    for name, task_name in sorted({(row["robot"], row["task"]) for row in rows}):
+        met = [row for row in rows if (row["robot"], row["task"]) == (name, task_name)]
+        fine = [row for row in met if row in good]
+        ratios = [row["cost"] / row["own_cost"] for row in fine] or [np.nan]
+        cells.append([
+            name, task_name, f"{len(fine)} of {len(met)}", f"{np.median(ratios):.2f}", f"{max(ratios):.2f}",
+            f"{np.median([row['own_switches'] for row in met]) + 1:g}",
+            f"{np.median([row['seconds'] for row in met]):.1f}",
+        ])  # fmt: skip
+    words = (
         f"{len(good)} of {len(rows)} planned and accepted, {sum(row['worse'] for row in good)} cost more than the "
         f"loop they were made from; the loops change charts a median of "
         f"{np.median([row['own_switches'] for row in rows]):g} times; median "
         f"{np.median([row['seconds'] for row in rows]):.2f} s, longest {max(row['seconds'] for row in rows):.1f} s"
     )
+    print(words)
+    if options.write:
+        marked.fill(marked.PLANNING, "loops", f"\n\n{words}:\n{marked.table(columns, cells)}")
     return 0 if len(good) >= 0.99 * len(rows) and not any(row["worse"] for row in good) else 1
 
 
@@ -140,6 +154,7 @@ def fourr(options: argparse.Namespace) -> int:
     robot = load_robot(options.urdf, chain_to="link5")
     position = PositionTask(robot, "link5", "xy")
     values: dict[str, list[float]] = {}
+    times: dict[str, list[float]] = {}
     variants: list[tuple[str, Task, bool]] = [
         ("heading fixed, open", StackedTask([position, HeadingTask(robot, "link5")]), False),
         ("heading fixed, closed", StackedTask([position, HeadingTask(robot, "link5")]), True),
@@ -158,11 +173,15 @@ def fourr(options: argparse.Namespace) -> int:
             # The pace that was asked for, whatever the plan is slowed down to.
             factor = (found.end - found.start) / (2.0 * np.pi)
             values.setdefault(name, []).append(integral(found, factor))
-            if seed == 0:
-                print(f"{name:24} seed 0: {values[name][0]:.6f}, {seconds:.2f} s", flush=True)
-        print(f"{name:24} {options.seeds} seeds: from {min(values[name]):.6f} to {max(values[name]):.6f}", flush=True)
+            times.setdefault(name, []).append(seconds)
+        ends = f"{min(values[name]):.6f} to {max(values[name]):.6f}"
+        print(f"{name:24} {options.seeds} seeds: {ends}, median {np.median(times[name]):.2f} s", flush=True)
     if options.json:
         options.json.write_text(json.dumps(values, indent=1) + "\n")
+    if options.write:
+        columns = ["variant", "least ∫‖dq/ds‖² ds", f"largest of {options.seeds} seeds", "s"]
+        cells = [[k, f"{min(v):.6f}", f"{max(v):.6f}", f"{np.median(times[k]):.2f}"] for k, v in values.items()]
+        marked.fill(marked.PLANNING, "fourr", "\n" + marked.table(columns, cells))
     return 0 if max(values["heading fixed, open"]) <= 2.7505 * 1.001 else 1
 
 
@@ -304,10 +323,12 @@ def main() -> int:
     one.add_argument("--numbers", type=int, nargs="*", help="these loops alone")
     one.add_argument("--points", type=int, default=160)
     one.add_argument("--robots", default=",".join(ARMS))
+    one.add_argument("--write", action="store_true", help="write the table into docs/planning.md")
     two = commands.add_parser("fourr")
     two.add_argument("urdf", type=Path)
     two.add_argument("--points", type=int, default=360)
     two.add_argument("--seeds", type=int, default=20)
+    two.add_argument("--write", action="store_true", help="write the table into docs/planning.md")
     three = commands.add_parser("iklink")
     three.add_argument("path", type=Path)
     three.add_argument("urdf", type=Path)

@@ -67,10 +67,17 @@ def refuse_unused(of: Callable[..., Any], reason: str, **given: Any) -> None:
     Raises:
         InputError: One is not at its default.
     """
+    defaults = _defaults(of)
     for name, value in given.items():
-        default = inspect.signature(of).parameters[name].default
+        default = defaults[name]
         if value is not default and (default is None or value != default):
             raise InputError(f"{name}={value!r} does not apply: {reason}")
+
+
+@functools.cache
+def _defaults(of: Callable[..., Any]) -> dict[str, Any]:
+    """Values of arguments by name where they are not given."""
+    return {name: parameter.default for name, parameter in inspect.signature(of).parameters.items()}
 
 
 class MissingDependencyError(EosError, ImportError):

@@ -17,12 +17,12 @@ from eos_pin.planning.grid import Grid
 from eos_pin.planning.problem import Problem, told
 from eos_pin.planning.refine import ROUNDS, Course, refine, without_bounds
 from eos_pin.planning.search import Failure, Layers, Ticked
-from eos_pin.planning.whole import WholeLayers
+from eos_pin.planning.whole import SPACING, WholeLayers
 
 #: Postures in a layer by redundancy; three and more have the last.
 POSTURES = (60, 100, 240, 120)
-#: Ways through the layers that are refined; twice as many where local minima abound: closed, two redundant joints.
-STRATEGIES = 4
+#: Ways through the layers that are refined: with one redundant joint, and with more, where local minima abound.
+STRATEGIES = (4, 12)
 #: Most layers of a closed path at first.
 LAYERS = 150
 #: How many times as far apart layers may be that hold whole manifolds.
@@ -81,11 +81,11 @@ class Search:
         self.problem, self.grid, self.step = problem, grid, step
         self.start, self.end = ends
         self.reconfigurations, self.seed, self.progress = reconfigurations, seed, progress
-        self.most = most or STRATEGIES * (2 if grid.closed and problem.r > 1 else 1)
+        self.most = most or STRATEGIES[problem.r > 1]
         self.best: Array | None = None
         self.failures: list[tuple[Failure, int]] = []
         self.notes: list[str] = []
-        self.stride, self.confirmed = 1, False
+        self.stride, self.confirmed, self.wound = 1, False, False
         self.began = time.thread_time()
 
     @property
@@ -147,17 +147,23 @@ class Search:
             # What was found out about the coarser points is found out anew.
             self.failures, self.notes, self.confirmed = [], [], True
             self._refine_grid(self.grid.finer())
-            last = attempts[-1]
-            self._search(strides[1:], [replace(last, count=2 * last.count, seed=last.seed + 1)])
+            twice = [replace(a, count=2 * a.count, seed=effort + 1) for a in (attempts[0], attempts[-1])]
+            # That a joint turns has nothing to do with arcs too short to be met.
+            self._search(strides[1:], twice, SPACING if self.wound else 0.5 * SPACING)
         return self.best
 
-    def _search(self, strides: Sequence[int], attempts: Sequence[Attempt]) -> bool:
+    def _search(self, strides: Sequence[int], attempts: Sequence[Attempt], spacing: float = SPACING) -> bool:
         """Go through attempts until one succeeds; whether one has."""
         if self.problem.r == 1 and self.grid.closed and self.start is None and not self.reconfigurations:
+            any_way = False
             for stride in dict.fromkeys(strides):
-                self._whole(stride)
+                any_way |= self._whole(stride, spacing)
                 if self.best is not None:
                     return True
+            if not any_way and self.problem.clearances is None:
+                # Where whole manifolds have no way round, only arcs shorter than their spacing are left: the coarsest
+                # attempt finds these, and finer ones found no more on any path that was looked at.
+                attempts = attempts[:1]
         for attempt in attempts:
             self._attempt(attempt)
             if self.best is not None:
@@ -176,19 +182,22 @@ class Search:
             attempts.append(Attempt(stride, int(1.5 * count) * 2**i, bounded, i + 1))
         return attempts
 
-    def _whole(self, stride: int) -> None:
-        """Search whole manifolds for closed ways."""
+    def _whole(self, stride: int, spacing: float) -> bool:
+        """Search whole manifolds, postures so far apart, for closed ways; whether there are any."""
         grid, problem = self.grid, self.problem
         rows = grid.rows(stride)
         dt, total = grid.dt_between(rows), 2 * len(rows)
         tick: Ticked = lambda done: self.progress("search", done / total)  # noqa: E731
-        whole = WholeLayers(problem, grid.Z[rows], dt, grid.between(rows), self.seed, tick)
-        self._take(whole.ways(self.most), Course(problem, whole.Z, dt, True), rows, stride > 1)
+        whole = WholeLayers(problem, grid.Z[rows], dt, grid.between(rows), spacing, self.seed, tick)
+        ways = whole.ways(self.most)
+        self._take(ways, Course(problem, whole.Z, dt, True), rows, stride > 1)
         if whole.wound:
+            self.wound = True
             self.notes.append(
                 f"where it closes, {', '.join(map(repr, whole.wound))} would turn a whole turn each round, which winds "
                 f"cables up{self._winding(whole.wound)}"
             )
+        return bool(ways)
 
     def _winding(self, wound: Sequence[str]) -> str:
         """Whether joints may be allowed to wind, in words."""

@@ -23,7 +23,7 @@ from eos_pin.planning.search import SHORT, Ticked, rows_of, tree_of, way_between
 
 #: Distance of neighbouring postures along a component [rad].
 SPACING = 0.12
-#: Longest self-motion between two layers, in radians, and most steps from each posture.
+#: Longest self-motion between two layers, in radians, and most steps from each posture at this spacing.
 STRIDE, NEIGHBOURS = 0.55, 10
 #: Random postures that look for further components: in the first layer, and in each other.
 FIRST, FURTHER = 300, 16
@@ -42,6 +42,7 @@ class WholeLayers:
         Z: Task points of the layers, (L, size).
         dt: Time from each layer to the next, (L,).
         between: Task points halfway from each layer to the next, (L, size).
+        spacing: Distance of neighbouring postures along a component [rad].
         seed: Seed of the random postures.
         tick: Called with the number of layers done; it may raise to stop.
         wound: Names of the joints that turn a whole turn in ways that were left out for it.
@@ -53,6 +54,7 @@ class WholeLayers:
     Z: Float[Array, "L size"]
     dt: Float[Array, " L"]
     between: Float[Array, "L size"]
+    spacing: float = SPACING
     seed: int = 0
     tick: Ticked = lambda done: None
     wound: list[str] = field(default_factory=list)
@@ -133,7 +135,7 @@ class WholeLayers:
                     # Only what the first lap has not got.
                     if not drawn.shape[1]:
                         break
-                    near = cKDTree(out[k].T).query(self._home(drawn).T, k=1, p=np.inf)[0] < 2.0 * SPACING
+                    near = cKDTree(out[k].T).query(self._home(drawn).T, k=1, p=np.inf)[0] < 2.0 * self.spacing
                     drawn = drawn[:, ~near]
                 Q = self._whole(kinematics, self._home(drawn), z)
                 carried = Q[:, ::CARRIED]
@@ -166,7 +168,7 @@ class WholeLayers:
             component = Component(kinematics, z, curve)
             known[i:] |= component.passes(rows[i:], T[i:])
             known[i] = True
-            made.append(_resampled(component))
+            made.append(_resampled(component, self.spacing))
         if not made:
             return Q[:, :0]
         found, good = self.problem.manifold.project(np.vstack(made).T, z[:, None], iterations=6)
@@ -181,7 +183,8 @@ class WholeLayers:
         if not len(ok):
             return Steps(ok, ok, np.empty(0))
         tree, asked = tree_of(problem, new, self.rolled), rows_of(problem, there[:, ok], self.rolled)
-        distance, end = tree.query(asked, k=min(NEIGHBOURS, new.shape[1]), p=np.inf, distance_upper_bound=STRIDE)
+        most = min(round(NEIGHBOURS * SPACING / self.spacing), new.shape[1])
+        distance, end = tree.query(asked, k=most, p=np.inf, distance_upper_bound=STRIDE)
         distance, end = distance.reshape(len(ok), -1), end.reshape(len(ok), -1)
         start = np.repeat(ok, end.shape[1])
         distance, end = distance.ravel(), end.ravel()
@@ -218,8 +221,8 @@ class WholeLayers:
         return q if problem.inside(q.T).all() else None
 
 
-def _resampled(component: Component) -> Float[Array, "K n"]:
+def _resampled(component: Component, spacing: float) -> Float[Array, "K n"]:
     """Points of a component at even distances, near it."""
-    count = max(2, int(np.ceil(component.length / SPACING)))
+    count = max(2, int(np.ceil(component.length / spacing)))
     s = np.linspace(0.0, component.length, count, endpoint=not component.closed)
     return component._hermite(s)

@@ -16,7 +16,7 @@ from eos_pin.errors import InputError
 
 TAU = 2.0 * np.pi
 #: Task error of points between the nodes [m, rad].
-EXACT = 1e-11
+EXACT = 1e-13
 #: How close the cubics must come to it to say so, relative to the distance of the nodes.
 CLOSE = 0.02
 
