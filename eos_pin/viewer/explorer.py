@@ -77,8 +77,10 @@ def described(task: Task, q: JointVector, *, self_collision: bool = True) -> tup
             f"not for {task!r}; choose one of them"
         )
     if flat is None:
+        following = [f"{name} follows {leader}" for name, leader in robot.mimics.items() if name in robot.model.names]
         raise InputError(
-            f"the explorer is for joints that turn or slide by themselves; some of {robot.name!r} follow others"
+            "the explorer is for joints that turn or slide by themselves; "
+            f"of {robot.name!r} {', '.join(following) or 'some do neither'}: choose a frame before them"
         )
     tips = [flat.tip(robot.model, part) for part in parts]
     chart = Chart.from_base(task, q)

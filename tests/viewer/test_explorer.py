@@ -203,6 +203,10 @@ def test_explorer_refuses_tasks_and_robots_without_formulas(panda: Robot, tmp_pa
     ur5 = load_robot("ur5", chain_to="tool0")
     with pytest.raises(InputError, match="no self-motion to explore"):
         write_explorer(tmp_path / "a.html", make_task(ur5, "pose"), rest_posture(make_task(ur5, "pose")))
+    # A finger that follows the other.
+    task = make_task(load_robot("panda", chain_to="panda_rightfinger"), "position")
+    with pytest.raises(InputError, match=r"panda_finger_joint2 follows panda_finger_joint1: choose a frame before"):
+        write_explorer(tmp_path / "a.html", task, rest_posture(task))
     assert not list(tmp_path.iterdir())
 
 
