@@ -89,7 +89,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
     chosen.push(made);
   };
   if (loopy) choose("Height of the map", [...data.weighs ? [["energy", "potential energy"], ["torque", "gravity torque"]] : [], ["manipulability", "manipulability"],
-    ...data.capsules.pairs.length ? [["apart", "distance of links"]] : []], data.weighs ? "energy" : "manipulability");
+    ["margin", "margin of the chart"], ...data.capsules.pairs.length ? [["apart", "distance of links"]] : []], data.weighs ? "energy" : "manipulability");
   else for (const k of [0, 1]) {
     if (k) head.append(" and ");
     choose(k ? "Upward coordinate of the map" : "Rightward coordinate of the map", Array.from({ length: robot.r }, (_, i) => [i, `v${i + 1}`]), k);
@@ -259,12 +259,12 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
 
   // -- the loop ----------------------------------------------------------------------------------------------------------
   function* retrace() {
-    const z = posture.z, found = yield* Kinematics.trace(robot, posture.q, z);
+    const { z, chart } = posture, found = yield* Kinematics.trace(robot, posture.q, z);
     Object.assign(found, { kinds: [], heights: [], places: [] });
     for (const q of found.nodes) {
       const { J } = robot.evaluate(q), { value, ratio } = robot.manipulability(J), { energy, torque } = robot.gravityLoad(), apart = robot.clearance();
       found.kinds.push(kindOf(q, apart, ratio));
-      found.heights.push({ energy, torque: load(torque).used, manipulability: value, apart });
+      found.heights.push({ energy, torque: load(torque).used, manipulability: value, margin: chart.margin(J), apart });
       found.places.push(Array.from(robot.carried(data.elbow.joint, data.elbow.place).subarray(9)));
       yield;
     }

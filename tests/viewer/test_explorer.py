@@ -244,6 +244,15 @@ def test_explorer_moves_task_and_self_motion_by_hand(chromium: Chromium, written
     page = chromium.open(written.as_uri())
     wait_for(lambda: page.js("explorer.loop() !== null"), 20.0)
     start = state(page)
+    nodes, margins = page.js(
+        "(({nodes, heights}) => [nodes.map(q => Array.from(q)), heights.map(h => h.margin)])(explorer.loop())"
+    )
+    chart = Chart.from_base(task, np.array(start["q"]))
+    for q, margin in list(zip(nodes, margins, strict=True))[::10]:
+        J = task.linearize(np.array(q))[1]
+        # The page has no margin beyond the edge.
+        inside = np.linalg.det(J @ chart.U) > 0.0
+        assert margin == pytest.approx(chart.margin(J) if inside else 0.0, abs=1e-9)
     drag(page, 1, -60.0, 15.0)
     elbow = state(page)
     assert np.abs(np.array(elbow["v"]) - start["v"]).max() > 0.05
