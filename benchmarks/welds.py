@@ -31,12 +31,15 @@ import pinocchio as pin
 from eos_pin import (
     Chart,
     EosController,
-    FollowPlan,
+    OrientationTask,
     Plan,
     PointAxisTask,
     PoseTask,
+    Target,
     ToleranceTask,
     Tool,
+    TrackTask,
+    Trajectory,
     load_robot,
     plan,
     simulate,
@@ -61,6 +64,8 @@ STARTS = 40
 ACCEPTED = 1e-8
 #: Start beside the plan [rad], rounds, and gains of the roll's law.
 BESIDE, ROUNDS, KP, KD = 0.05, 2, 100.0, 20.0
+#: Part of a round that is driven from beside the plan.
+PART = 0.5
 #: A step of a joint beyond this is a jump [rad].
 JUMP = 0.5
 
@@ -208,27 +213,46 @@ def plans(options: argparse.Namespace) -> int:
     return 0 if all(row.get("accepted", True) for row in rows) else 1
 
 
+class Turn(Trajectory):
+    """Orientation of the torch along a plan."""
+
+    def __init__(self, task: OrientationTask, found: Plan) -> None:
+        self.task, self.found = task, found
+
+    def __call__(self, t: float) -> Target:
+        q, dq, ddq = self.found(t)
+        z, J, dz, drift = self.task.at(q, dq)
+        return Target(z, dz, J @ ddq + drift)
+
+
 def driven(robot: Robot, seed: int, count: int) -> dict[str, Any]:
-    """One curve under torque control: two rounds from the plan, and a second from beside it."""
-    task = task_of("free", robot)
+    """One curve under torque control: two rounds from the plan, and a part of one from beside it."""
+    task, turn = task_of("free", robot), OrientationTask(robot, "torch")
     found = plan(task, way_points("free", *weld(seed, REACH * robot.reach, count)), closed=True)
-    law = FollowPlan(found, robot, kp=KP, kd=KD)
-    controller = EosController(task, law.path, law)
-    start, target = found(found.start), law.path(found.start)
+    path = Turn(turn, found)
+    law = TrackTask(turn, path, kp=KP, kd=KD)
+    controller = EosController(task, found.path, law)
+    start, target = found(found.start), found.path(found.start)
     on = simulate(robot, controller, start.q, dq=start.dq, duration=ROUNDS * found.period, rtol=1e-7, atol=1e-9)
     # Beside it, the task goes on as it should and v has the plan's rate.
     chart = Chart.from_base(task, start.q)
     aside = task.kinematics.project((start.q + BESIDE * chart.V[:, 0])[None], target.z).q[0]
     chart = Chart.from_base(task, aside)
     dq = chart.acceleration(task.linearize(aside)[1], target.dz, chart.dv(start.dq))
-    off = simulate(robot, controller, aside, dq=dq, duration=1.0, record_rate=100.0, rtol=1e-10, atol=1e-12)
-    left = off.t < (off.switches[0] if len(off.switches) else np.inf)
-    error = np.array([chart.dv(q - found(t).q)[0] for t, q in zip(off.t[left], off.q[left], strict=True)])
-    decay = np.sqrt(KP) * off.t[left]
-    wrong = np.abs(error - error[0] * (1.0 + decay) * np.exp(-decay))
+    off = simulate(
+        robot, controller, aside, dq=dq, duration=PART * found.period, record_rate=50.0, rtol=1e-9, atol=1e-11
+    )
+    # The axis is where it should be, so the rotation that lacks is a roll about it.
+    error = np.array(
+        [turn.minus(path(t).z, turn.value(q)) @ z[3:] for t, q, z in zip(off.t, off.q, off.z, strict=True)]
+    )
+    rate = float((path(found.start).dz - turn.at(aside, dq).dz) @ off.z[0][3:])
+    # Solution of the law, critically damped, from the roll and its rate at the start.
+    w = np.sqrt(KP)
+    wrong = np.abs(error - (error[0] + (rate + w * error[0]) * off.t) * np.exp(-w * off.t))
     return {
         "robot": robot.name, "seed": seed, "task_error": float(max(np.abs(on.error).max(), np.abs(off.error).max())),
-        "law_error": float(wrong.max()), "law_time": float(off.t[left][-1]), "beside": float(abs(error[0])),
+        "law_error": float(wrong.max()), "beside": float(abs(error[0])), "changes": len(off.switches),
         "drift": float(np.max(on.joint_drift_per_cycle)), "switches": len(on.switches),
         "rounds": len(on.joint_drift_per_cycle),
     }  # fmt: skip
@@ -250,7 +274,7 @@ def roll(options: argparse.Namespace) -> int:
             f"| {worst['drift']:.1e} | {min(charts)} to {max(charts)} |"
         )
     shown("roll", lines, options.write)
-    return 0 if all(row["rounds"] == ROUNDS and row["task_error"] <= 1e-6 for row in rows) else 1
+    return 0 if all(row["rounds"] == ROUNDS and max(row["task_error"], row["law_error"]) <= 1e-6 for row in rows) else 1
 
 
 def peer(options: argparse.Namespace) -> int:

@@ -35,6 +35,7 @@ from .control import ReduceKineticEnergy as ReduceKineticEnergy
 from .control import Safety as Safety
 from .control import SumObjective as SumObjective
 from .control import Track as Track
+from .control import TrackTask as TrackTask
 from .control import gravity_overload as gravity_overload
 from .control import journey as journey
 from .errors import ChartError as ChartError

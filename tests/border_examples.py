@@ -132,6 +132,7 @@ def objects():
     listed += [eos_pin.DescendPotential(lambda q: q), eos_pin.Track([0.0]), eos_pin.FollowPlan(plan)]
     listed += [eos_pin.FollowJoints(lambda t: (q, dq, dq)), eos_pin.Posture(q), eos_pin.PostureNullSpace(q)]
     energy = eos_pin.ReduceKineticEnergy(robot)
+    listed += [eos_pin.TrackTask(task, hold)]
     listed += [energy, eos_pin.EnergyNullSpace(energy), eos_pin.SumObjective([eos_pin.Damp(), eos_pin.Posture(q)])]
     listed += [eos_pin.FreeNullSpace(), eos_pin.Avoidance(clearance), eos_pin.ComTask(robot, "xy")]
     listed += [eos_pin.JointLimits.from_robot(robot, acceleration=9.0, velocity=2.0, torque=99.0)]

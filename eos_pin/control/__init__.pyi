@@ -6,6 +6,8 @@ from .compliant.safety import Safety as Safety
 from .eos import EosController as EosController
 from .following import FollowJoints as FollowJoints
 from .following import FollowPlan as FollowPlan
+from .following import SumObjective as SumObjective
+from .following import TrackTask as TrackTask
 from .joining import journey as journey
 from .kinematic import Command as Command
 from .kinematic import KinematicLoop as KinematicLoop
@@ -17,7 +19,6 @@ from .objectives import DescendPotential as DescendPotential
 from .objectives import Objective as Objective
 from .objectives import Posture as Posture
 from .objectives import ReduceKineticEnergy as ReduceKineticEnergy
-from .objectives import SumObjective as SumObjective
 from .objectives import Track as Track
 from .operational import DampedNullSpace as DampedNullSpace
 from .operational import EnergyNullSpace as EnergyNullSpace

@@ -198,7 +198,7 @@ class EosController(TaskController):
     def asked(self, t: float, q: JointVector, dq: JointVector, chart: Chart, point: TaskPoint) -> JointVector:
         """F* less the task's drift: (F_z − Ġ'dq, F_v), (n,); Eqs. (36), (45)."""
         F_z = self._task_acceleration(t, point) - point.drift
-        return np.concatenate((F_z, self.self_motion._acceleration(t, q, dq, chart)))
+        return np.concatenate((F_z, self.self_motion._acceleration_beside(t, q, dq, chart, point.J, F_z)))
 
     def _within(
         self, q: JointVector, dq: JointVector, ddq: JointVector, J: Jacobian

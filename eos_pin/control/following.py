@@ -1,8 +1,10 @@
-"""Objectives that follow joints given over time, such as those of a plan."""
+"""Objectives that follow joints given over time, such as those of a plan, or a further task; and sums of laws."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,9 +12,13 @@ from jaxtyping import Float
 
 from eos_pin._arrays import (
     Array,
+    Jacobian,
     JointVector,
     SelfMotionVector,
+    TaskVector,
     VectorLike,
+    broadcast,
+    by_value,
     checked,
     frozen_copy,
     gains,
@@ -23,10 +29,11 @@ from eos_pin._arrays import (
 )
 from eos_pin.charts.chart import Chart
 from eos_pin.control._sampled_law import SelfTargets, decay
-from eos_pin.control.objectives import Objective
+from eos_pin.control.objectives import Damp, Objective
 from eos_pin.errors import InputError, PlanError
 from eos_pin.planning.plans import Plan
 from eos_pin.robot.model import Robot
+from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Target, Trajectory
 from eos_pin.trajectories.pace import Clock, PacedJoints, PacedPath
 
@@ -34,6 +41,8 @@ from eos_pin.trajectories.pace import Clock, PacedJoints, PacedPath
 WITHIN = 0.5
 #: Largest difference of two times that are the same [s].
 SAME_TIME = 1e-12
+#: Where the self-motion moves a further task by less than this, it is moved with less force, down to none.
+FADING = 0.02
 
 
 class FollowJoints(Objective):
@@ -182,3 +191,128 @@ class FollowPlan(FollowJoints):
         if task.describe() != self.plan.task.describe():
             raise PlanError(f"the plan is for the task {self.plan.task!r}; the controller has {task!r}")
         super().check_start(t, q, chart)
+
+
+@by_value
+@checked
+@dataclass(frozen=True, eq=False)
+class TrackTask(Objective):
+    """Track a further task by the self-motion, such as the roll of a tool whose axis is the task.
+
+    The further error obeys ε̈ + kd ε̇ + kp ε = 0 in all directions in which the self-motion can move it, whatever the
+    task does meanwhile and whichever charts are used: F_v = F_rest + P⁺(F_2 − drift_2 − J_2 ddq), where P = J_2 D and
+    ddq is that of the task and of `rest`. In the directions left over the law is `rest`. Where a direction fades, it is
+    given up by degrees. For `EosController` and `LimitedEosController`.
+
+    The roll of a tool about its axis is tracked by an `OrientationTask` beside a `PointAxisTask`: of the rotation only
+    the turn about the axis is free.
+
+    Attributes:
+        task: The further task, of the same robot.
+        reference: Its trajectory.
+        kp: Gain on its error, one number or one for each coordinate [1/s²].
+        kd: Gain on its velocity error, likewise [1/s]; 2 √kp is critically damped.
+        rest: Law of the self-motion that the further task leaves free.
+    """
+
+    task: Task
+    reference: Trajectory
+    kp: float | VectorLike = 100.0
+    kd: float | VectorLike = 20.0
+    rest: Objective = Damp()  # noqa: RUF009
+
+    def __post_init__(self) -> None:
+        self._gains  # noqa: B018
+
+    @cached_property
+    def _gains(self) -> tuple[Array, Array]:
+        """Both gains, one number for each coordinate."""
+        kp, kd = (
+            frozen_copy(broadcast(gain, self.task.m, f"the gain {name} on the further task"))
+            for name, gain in (("kp", self.kp), ("kd", self.kd))
+        )
+        return kp, kd
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        point = chart.task._at(q, dq)
+        return self._acceleration_beside(t, q, dq, chart, point.J, -point.drift)
+
+    @checked
+    def acceleration_beside(
+        self, t: float, q: JointVector, dq: JointVector, chart: Chart, J: Jacobian, task: TaskVector
+    ) -> SelfMotionVector:
+        self.task._set_time(t)
+        z, J_2, dz, drift = self.task._at(q, dq)
+        kp, kd = self._gains
+        asked = self.task._tracking_acceleration(z, dz, self.reference(t), kp, kd) - drift
+        rest = self.rest._acceleration_beside(t, q, dq, chart, J, task)
+        still = np.zeros(chart.m)
+        D = np.column_stack([chart.acceleration(J, still, unit) for unit in np.eye(chart.r)])
+        left, sizes, right = np.linalg.svd(J_2.dot(D), full_matrices=False)
+        lacking = left.T.dot(asked - J_2.dot(chart.acceleration(J, task, rest)))
+        return rest + right.T.dot(lacking * sizes / np.maximum(sizes, FADING) ** 2)
+
+    _acceleration_beside = unchecked(acceleration_beside)
+
+    def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
+        raise InputError(
+            "a loop of commanded motion does not know TrackTask. Use EosController, or a stack of both tasks"
+        )
+
+    def check_start(self, t: float, q: JointVector, chart: Chart) -> None:
+        self.rest.check_start(t, q, chart)
+
+    def check(self, n: int, r: int) -> None:
+        if self.task.robot.n != n:
+            raise InputError(f"the further task is that of a robot with {self.task.robot.n} joints, this one has {n}")
+        self.rest._check(n, r)
+
+
+class SumObjective(Objective):
+    """Sum of several objectives.
+
+    Args:
+        parts: The objectives.
+    """
+
+    @checked
+    def __init__(self, parts: Sequence[Objective]) -> None:
+        if not parts:
+            raise InputError("SumObjective needs at least one objective; Damp(0.0) leaves the self-motion alone")
+        self._parts = tuple(parts)
+
+    parts = property(lambda self: self._parts, doc="The objectives.")
+
+    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
+        total = self.parts[0].acceleration(t, q, dq, chart)
+        for part in self.parts[1:]:
+            total = total + part._acceleration(t, q, dq, chart)
+        return total
+
+    def acceleration_beside(
+        self, t: float, q: JointVector, dq: JointVector, chart: Chart, J: Jacobian, task: TaskVector
+    ) -> SelfMotionVector:
+        parts = [part._acceleration_beside(t, q, dq, chart, J, task) for part in self.parts]
+        return np.sum(parts, axis=0)
+
+    def target(self, t: float, r: int) -> Target | None:
+        return next((target for part in self.parts if (target := part._target(t, r)) is not None), None)
+
+    def target_on(self, t: float, chart: Chart) -> Target | None:
+        return next((target for part in self.parts if (target := part._target_on(t, chart)) is not None), None)
+
+    def joint_acceleration(self, t: float, q: JointVector, dq: JointVector, robot: Robot) -> JointVector | None:
+        found = (part._joint_acceleration(t, q, dq, robot) for part in self.parts)
+        return next((a for a in found if a is not None), None)
+
+    def check_start(self, t: float, q: JointVector, chart: Chart) -> None:
+        for part in self.parts:
+            part.check_start(t, q, chart)
+
+    def joint_distances(self, t: Float[Array, " T"], q: Float[Array, "T n"], robot: Robot) -> Float[Array, " T"] | None:
+        found = (part.joint_distances(t, q, robot) for part in self.parts)
+        return next((apart for apart in found if apart is not None), None)
+
+    def check(self, n: int, r: int) -> None:
+        for part in self.parts:
+            part._check(n, r)

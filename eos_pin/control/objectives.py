@@ -6,7 +6,7 @@ An objective never disturbs the task: whatever acceleration it asks of v, the ch
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -17,9 +17,11 @@ from jaxtyping import Float
 from eos_pin._arrays import (
     Array,
     Checked,
+    Jacobian,
     JointVector,
     NonNegative,
     SelfMotionVector,
+    TaskVector,
     VectorLike,
     broadcast,
     by_value,
@@ -57,6 +59,16 @@ class Objective(Checked, ABC):
     @checked
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         """Commanded self-motion acceleration F_v, (r,)."""
+
+    @checked
+    def acceleration_beside(
+        self, t: float, q: JointVector, dq: JointVector, chart: Chart, J: Jacobian, task: TaskVector
+    ) -> SelfMotionVector:
+        """F_v where the task has the Jacobian J and is given the acceleration `task`, its drift left out, (m,).
+
+        For laws that take account of how the task moves the robot; by default `acceleration`.
+        """
+        return self._acceleration(t, q, dq, chart)
 
     @checked
     def target(self, t: float, r: int) -> Target | None:
@@ -126,6 +138,7 @@ class Objective(Checked, ABC):
         """
 
     _acceleration = unchecked(acceleration)
+    _acceleration_beside = unchecked(acceleration_beside)
     _joint_acceleration = unchecked(joint_acceleration)
     _target = unchecked(target)
     _target_on = unchecked(target_on)
@@ -352,47 +365,3 @@ class DescendPotential(Objective):
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         slope = vector_of("gradient of a DescendPotential", q.size, self.gradient, q)
         return chart._along(-self.gain * slope) - self.kd * chart._dv(dq)
-
-
-class SumObjective(Objective):
-    """Sum of several objectives.
-
-    Args:
-        parts: The objectives.
-    """
-
-    @checked
-    def __init__(self, parts: Sequence[Objective]) -> None:
-        if not parts:
-            raise InputError("SumObjective needs at least one objective; Damp(0.0) leaves the self-motion alone")
-        self._parts = tuple(parts)
-
-    parts = property(lambda self: self._parts, doc="The objectives.")
-
-    def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        total = self.parts[0].acceleration(t, q, dq, chart)
-        for part in self.parts[1:]:
-            total = total + part._acceleration(t, q, dq, chart)
-        return total
-
-    def target(self, t: float, r: int) -> Target | None:
-        return next((target for part in self.parts if (target := part._target(t, r)) is not None), None)
-
-    def target_on(self, t: float, chart: Chart) -> Target | None:
-        return next((target for part in self.parts if (target := part._target_on(t, chart)) is not None), None)
-
-    def joint_acceleration(self, t: float, q: JointVector, dq: JointVector, robot: Robot) -> JointVector | None:
-        found = (part._joint_acceleration(t, q, dq, robot) for part in self.parts)
-        return next((a for a in found if a is not None), None)
-
-    def check_start(self, t: float, q: JointVector, chart: Chart) -> None:
-        for part in self.parts:
-            part.check_start(t, q, chart)
-
-    def joint_distances(self, t: Float[Array, " T"], q: Float[Array, "T n"], robot: Robot) -> Float[Array, " T"] | None:
-        found = (part.joint_distances(t, q, robot) for part in self.parts)
-        return next((apart for apart in found if apart is not None), None)
-
-    def check(self, n: int, r: int) -> None:
-        for part in self.parts:
-            part._check(n, r)

@@ -106,9 +106,9 @@ class KeepTolerance(Objective):
         super().__setattr__(name, value)
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        asked = self.law.acceleration(t, q, dq, chart)
         point, target = self.task._at(q, dq), self.reference(t)
         F_z = self.task.tracking_acceleration(point.z, point.dz, target, self.kp, self.kd) - point.drift
+        asked = self.law._acceleration_beside(t, q, dq, chart, point.J, F_z)
         ddq = chart.acceleration(point.J, F_z, asked)
         rest = np.zeros(self.task.m)
         D = np.column_stack([chart.acceleration(point.J, rest, unit) for unit in np.eye(chart.r)])

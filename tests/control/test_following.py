@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import checks
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -12,6 +13,7 @@ from checks import planar
 
 from eos_pin import (
     Atlas,
+    Chart,
     ControlLoop,
     Damp,
     EosController,
@@ -20,12 +22,16 @@ from eos_pin import (
     JointLimits,
     LimitedEosController,
     MujocoPlant,
+    OrientationTask,
+    PointAxisTask,
     PoseTask,
     PositionTask,
     SumObjective,
     Target,
     Task,
     TaskForce,
+    Tool,
+    TrackTask,
     Trajectory,
     circle,
     journey,
@@ -281,3 +287,60 @@ def test_follow_joints_counts_no_full_turns_of_continuous_joints(kinova):
     turned = q + 2.0 * np.pi * kinova.continuous
     assert law.distance(0.0, turned, kinova) < 1e-9
     assert law.distance(0.0, turned) > 6.0
+
+
+class Turning(Trajectory):
+    """Orientation that turns about an axis of the tool, from rest to rest, by `angle` in `T` seconds."""
+
+    def __init__(self, R, axis, angle, T):
+        self.R, self.axis, self.angle, self.T = R, axis, angle, T
+
+    def __call__(self, t):
+        s, w = min(t / self.T, 1.0), 2.0 * np.pi
+        turn = self.angle * np.array(
+            [s - np.sin(w * s) / w, (1.0 - np.cos(w * s)) / self.T, w * np.sin(w * s) / self.T**2]
+        )
+        world = self.R @ self.axis
+        return Target((self.R @ pin.exp3(turn[0] * self.axis)).ravel(), turn[1] * world, turn[2] * world)
+
+
+def test_roll_obeys_its_law_through_changes_of_charts():
+    torch = Tool(
+        "tool0", pin.SE3(pin.exp3(np.array([0.0, np.radians(35.0), 0.0])), np.array([0.08, 0.0, 0.15])), "torch"
+    )
+    ur5 = load_robot("ur5", chain_to="torch", tool=torch)
+    task, turn = PointAxisTask(ur5, "torch"), OrientationTask(ur5, "torch")
+    q = np.array([0.3, -1.2, 1.4, -0.8, -1.3, 0.2])
+    z_axis, R, beside = np.array([0.0, 0.0, 1.0]), turn.value(q).reshape(3, 3), 0.3
+    path = Turning(R @ pin.exp3(-beside * z_axis), z_axis, 2.0 * np.pi, 3.0)
+    controller = EosController(task, task.hold(q), TrackTask(turn, path), atlas=Atlas(task, threshold=0.9))
+    run = simulate(ur5, controller, q, duration=3.0, rtol=1e-9, atol=1e-11, record_rate=20.0)
+    assert run.ok
+    assert len(run.switches) >= 2
+    assert np.abs(run.error).max() < 1e-8
+    found = [turn.minus(turn.value(row), path(t).z) @ (R @ z_axis) for t, row in zip(run.t, run.q, strict=True)]
+    np.testing.assert_allclose(found, beside * (1.0 + 10.0 * run.t) * np.exp(-10.0 * run.t), rtol=0.0, atol=1e-7)
+
+
+def test_further_task_has_the_acceleration_asked_of_it_as_far_as_the_task_allows(panda):
+    frame = checks.tip(panda)
+    task, turn = PositionTask(panda, frame), OrientationTask(panda, frame)
+    q, dq = checks.random_state(panda, 3)
+    chart, aim = Chart.from_base(task, q + 0.1), turn.hold(q + 0.2)
+    law, point = TrackTask(turn, aim, kp=[30.0, 20.0, 10.0], kd=3.0), task.at(q, dq)
+    F_z = np.array([1.0, -2.0, 3.0])
+    ddq = chart.acceleration(point.J, F_z, law.acceleration_beside(0.0, q, dq, chart, point.J, F_z))
+    z, J, dz, drift = turn.at(q, dq)
+    asked = turn.tracking_acceleration(z, dz, aim(0.0), np.array([30.0, 20.0, 10.0]), np.full(3, 3.0))
+    np.testing.assert_allclose(J @ ddq + drift, asked, atol=1e-9)
+    np.testing.assert_allclose(point.J @ ddq, F_z, atol=1e-9)
+    # A task that has the same directions cannot be moved beside it: nothing is asked, and the rest goes on.
+    same = TrackTask(PositionTask(panda, frame), task.hold(q), rest=Damp(5.0))
+    np.testing.assert_allclose(same.acceleration(0.0, q, dq, chart), -5.0 * chart.dv(dq), atol=1e-9)
+    summed = SumObjective([law, Damp(5.0)]).acceleration_beside(0.0, q, dq, chart, point.J, F_z)
+    alone = law.acceleration_beside(0.0, q, dq, chart, point.J, F_z)
+    np.testing.assert_allclose(summed, alone - 5.0 * chart.dv(dq), atol=1e-9)
+    with pytest.raises(InputError, match="7 joints, this one has 6"):
+        law.check(6, 1)
+    with pytest.raises(InputError, match="kp on the further task must be"):
+        TrackTask(turn, aim, kp=[1.0, 2.0])
