@@ -31,6 +31,8 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
     #panel .beyond { font-weight: 700; }
     #panel .beyond .range { border-style: dashed; border-width: 2px; }
     #map { width: 100%; height: 132px; display: block; border: 1px solid var(--line); border-radius: 6px; cursor: crosshair; touch-action: none; }
+    #panel .scale { display: flex; align-items: center; gap: 8px; font-size: 12px; font-variant-numeric: tabular-nums; margin: 4px 0 0; }
+    #panel .scale i { flex: 1; height: 10px; border: 1px solid var(--line); border-radius: 3px; }
     #panel .key { display: flex; flex-wrap: wrap; gap: 2px 12px; font-size: 12px; color: var(--soft); margin: 4px 0 0; }
     #panel .key canvas { width: 22px; height: 12px; vertical-align: -1px; margin-right: 4px; border: 1px solid var(--line); }
     #panel button, #panel select { font: inherit; color: inherit; background: #fff; border: 1px solid var(--line); border-radius: 8px; min-height: 34px;
@@ -85,10 +87,10 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
     made.setAttribute("aria-label", label);
     for (const [name, text] of options) add("option", text, made).value = name;
     made.value = first;
-    made.onchange = () => { if (loopy) drawMap(); else look(); };
+    made.onchange = () => { if (loopy) { paint(); drawMap(); show(); } else look(); };
     chosen.push(made);
   };
-  if (loopy) choose("Height of the map", [...data.weighs ? [["energy", "potential energy"], ["torque", "gravity torque"]] : [], ["manipulability", "manipulability"],
+  if (loopy) choose("Quantity along the loop, as height and colour", [...data.weighs ? [["energy", "potential energy"], ["torque", "gravity torque"], ["coupling", "inertial coupling"]] : [], ["manipulability", "manipulability"],
     ["margin", "margin of the chart"], ...data.capsules.pairs.length ? [["apart", "distance of links"]] : []], data.weighs ? "energy" : "manipulability");
   else for (const k of [0, 1]) {
     if (k) head.append(" and ");
@@ -98,6 +100,14 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   map.setAttribute("role", "img");
   map.setAttribute("aria-label", loopy ? "Postures at this task point, along the curve of the self-motion" : "Postures at this task point, over two coordinates of v");
   panel.append(map);
+  // The colours of the loop from the least value to the greatest; people who do not see them read the height.
+  const ramp = `linear-gradient(to right, ${data.colours.join(", ")})`, ends = [];
+  if (loopy) {
+    const scale = add("div", "", panel, "scale");
+    ends.push(add("span", "", scale));
+    add("i", "", scale).style.background = ramp;
+    ends.push(add("span", "", scale));
+  }
   const key = add("p", "", panel, "key");
   for (const [kind, text] of [["limit", "beyond a joint limit"], ["touch", "links touch"], ["singular", "near singular"], ...loopy ? [] : [["edge", "beyond the chart"]]]) {
     const item = add("span", "", key), swatch = document.createElement("canvas");
@@ -126,7 +136,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   add("h2", "Now");
   const table = add("table"), cells = {};
   for (const [id, text] of [["error", "task error"], ["margin", "margin of the chart"], ["charts", "charts used"], ["manipulability", "manipulability"],
-    ...data.capsules.pairs.length ? [["apart", "links apart"]] : [], ...data.weighs ? [["torque", "largest gravity torque"], ["energy", "potential energy"]] : [], ["pace", "computing, pictures"]]) {
+    ...data.capsules.pairs.length ? [["apart", "links apart"]] : [], ...data.weighs ? [["torque", "largest gravity torque"], ["energy", "potential energy"], ["coupling", "inertial coupling"]] : [], ["pace", "computing, pictures"]]) {
     const row = add("tr", "", table);
     add("td", text, row);
     cells[id] = add("td", "", row);
@@ -164,9 +174,9 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
       } });
   }
   for (const { name, color, mesh } of handles) { put(["Handles", name], mesh); legend(name, color, 12, mesh); }
-  const loop = new THREE.Group();
+  const loop = new THREE.Group(), ribbons = [];
   put(["Loop"], loop);
-  if (loopy) { legend(`loop of the ${data.elbow.name}; thin: barred`, "#009e73", 5, loop); }
+  if (loopy) { legend(`loop of the ${data.elbow.name}; thin: barred`, ramp, 5, loop); }
 
   const say = text => { said.textContent = text; };
   function go(z, v) {
@@ -209,6 +219,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
       const { worst } = load(torque);
       cells.torque.textContent = `${Math.abs(torque[worst]).toFixed(1)}${data.effort[worst] ? ` of ${data.effort[worst].toFixed(0)}` : ""} ${robot.prismatic[worst] ? "N" : "N m"}`;
       cells.energy.textContent = `${energy.toFixed(2)} J`;
+      cells.coupling.textContent = robot.coupling(posture.J).toFixed(3);
     }
     bars.forEach(({ row, mark, value: text }, i) => {
       const low = data.lower[i], high = data.upper[i], x = posture.q[i], off = beyond(posture.q, i);
@@ -264,26 +275,52 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
     for (const q of found.nodes) {
       const { J } = robot.evaluate(q), { value, ratio } = robot.manipulability(J), { energy, torque } = robot.gravityLoad(), apart = robot.clearance();
       found.kinds.push(kindOf(q, apart, ratio));
-      found.heights.push({ energy, torque: load(torque).used, manipulability: value, margin: chart.margin(J), apart });
+      found.heights.push({ energy, torque: load(torque).used, manipulability: value, margin: chart.margin(J), apart, coupling: data.weighs ? robot.coupling(J) : 0 });
       found.places.push(Array.from(robot.carried(data.elbow.joint, data.elbow.place).subarray(9)));
       yield;
     }
     traced = found;
     drawnFor = z;
-    for (const mesh of loop.children) mesh.geometry.dispose();
+    for (const mesh of loop.children) { mesh.geometry.dispose(); mesh.material.dispose(); }
     loop.clear();
+    ribbons.length = 0;
     for (let i = 0; i + 1 < traced.nodes.length;) {
       let j = i + 1;
       const good = !traced.kinds[i];
       while (j + 1 < traced.nodes.length && !traced.kinds[j] === good) j++;
-      const tube = new Tube((good ? .005 : .0016) * size, good ? "#009e73" : "#5b6876", good ? .8 : .99);
+      const tube = new Tube((good ? .005 : .0016) * size, "#ffffff", .99);
       for (let k = i; k <= j; k++) tube.push(new V3(...traced.places[k]));
       tube.show(Infinity);
+      tube.mesh.material.vertexColors = true;
       loop.add(tube.mesh);
+      ribbons.push({ tube, from: i });
       i = j;
     }
+    paint();
     drawMap();
     show();
+  }
+  /** Chosen quantity at each node, its least and its greatest value, and whether it is level but for rounding. */
+  function quantity() {
+    const heights = traced.heights.map(each => each[chosen[0].value]), least = Math.min(...heights), most = Math.max(...heights);
+    return { heights, least, most, level: most - least < 1e-6 * Math.max(1, Math.abs(most)) };
+  }
+  const shades = data.colours.map(colour => new THREE.Color(colour).convertSRGBToLinear()), shade = new THREE.Color();
+  /** Colour the loop in the picture by the chosen quantity. */
+  function paint() {
+    if (!traced) return;
+    const { heights, least, most, level } = quantity(), last = shades.length - 1;
+    for (const { tube: { mesh, count, points, room }, from } of ribbons) {
+      const around = points.length / (3 * room), colours = new Float32Array(points.length);
+      for (let k = 0; k < count; k++) {
+        const x = level ? 0 : last * (heights[from + k] - least) / (most - least), low = Math.min(Math.floor(x), last - 1);
+        shade.lerpColors(shades[low], shades[low + 1], x - low);
+        for (let side = 0; side < around; side++) shade.toArray(colours, 3 * (around * k + side));
+      }
+      mesh.geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
+    }
+    const unit = { energy: " J", torque: data.effort.every(Boolean) ? " of the limit" : robot.prismatic.some(Boolean) ? " N m or N" : " N m", apart: " m" }[chosen[0].value] ?? "";
+    ends.forEach((end, k) => { end.textContent = `${Number([least, most][k].toPrecision(3))}${unit}`; });
   }
   /** Number of the node next to the posture, whole turns left aside; null where it is on another curve. */
   function nearest() {
@@ -319,9 +356,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   }
   function drawMap() {
     if (!traced || !map.clientWidth) return;
-    const { context, wide, tall } = sheet(), { s, kinds, closed } = traced, length = s[s.length - 1] || 1, heights = traced.heights.map(each => each[chosen[0].value]);
-    // What is level but for rounding is drawn level.
-    const least = Math.min(...heights), most = Math.max(...heights), level = most - least < 1e-6 * Math.max(1, Math.abs(most)), span = level ? 1 : most - least;
+    const { context, wide, tall } = sheet(), { s, kinds, closed } = traced, length = s[s.length - 1] || 1, { heights, least, most, level } = quantity(), span = level ? 1 : most - least;
     const x = k => 8 + (wide - 16) * s[k] / length, y = k => tall - 14 - (tall - 28) * (heights[k] - least) / span;
     for (let k = 0; k + 1 < s.length; k++) if (kinds[k]) {
       context.fillStyle = patterns[kinds[k]] ??= pattern(context, kinds[k]);

@@ -24,6 +24,8 @@ from eos_pin.viewer.viewer import page, script
 SAMPLES = 40
 #: Distance of the mark beside a tool that turns about its axis, in parts of the robot's reach.
 BESIDE = 0.12
+#: Colours of Matplotlib's scale cividis at equal steps, which paint the loop; between them they are mixed.
+COLOURS = "#00224e #1a386f #434e6c #61656f #7d7c78 #9b9476 #bcae6c #dec958 #fee838"
 NO_CAPSULES: dict[str, Any] = {"carriers": [], "ends": [], "radii": [], "pairs": []}
 
 
@@ -93,6 +95,7 @@ def described(task: Task, q: JointVector, *, self_collision: bool = True) -> tup
             {"joint": joint, "kind": KINDS[part.kind], "axes": list(part.axes), "tip": tip.tolist()}
             for (joint, tip), part in zip(tips, parts, strict=True)
         ],
+        "colours": COLOURS.split(),
         "pole": POLE.ravel().tolist(),
         "joints": list(robot.joint_names),
         "labels": list(task.labels),
@@ -132,6 +135,11 @@ def _masses(robot: Robot, flat: FlatModel) -> dict[str, Any]:
     return {
         "masses": [float(inertia.mass) for inertia in inertias],
         "centres": [(turn.T @ inertia.lever).tolist() for turn, inertia in zip(flat.turns, inertias, strict=True)],
+        "inertias": [
+            (turn.T @ inertia.inertia @ turn).ravel().tolist()
+            for turn, inertia in zip(flat.turns, inertias, strict=True)
+        ],
+        "armature": robot.model.armature.tolist(),
         "gravity": robot.model.gravity.linear.tolist(),
         "weighs": not robot.lacks_dynamics,
     }

@@ -86,6 +86,18 @@ const Kinematics = (() => {
     }
     return Q;
   }
+  /** Lower factor L of A = L Lᵀ, p × p; null where A is not positive. */
+  function cholesky(A, p) {
+    const L = new Float64Array(p * p);
+    for (let i = 0; i < p; i++) for (let j = 0; j <= i; j++) {
+      let rest = A[i * p + j];
+      for (let k = 0; k < j; k++) rest -= L[i * p + k] * L[j * p + k];
+      if (i !== j) L[i * p + j] = rest / L[j * p + j];
+      else if (rest > 0) L[i * p + i] = Math.sqrt(rest);
+      else return null;
+    }
+    return L;
+  }
   /** Basis of the null space beside Q that lies nearest to V: the polar factor of its projection (orthogonal Procrustes). */
   function carried(V, Q, n, m, r) {
     const projected = times(Q, times(transposed(Q, n, m), V, m, n, r), n, m, r);
@@ -155,7 +167,7 @@ const Kinematics = (() => {
   }
 
   class Robot {
-    /** @param data Arrays `parents`, `prismatic`, `fixed`, `parts` of joint, kind, axes and tip, `pole`; masses, centres, gravity. */
+    /** @param data Arrays `parents`, `prismatic`, `fixed`, `parts` of joint, kind, axes and tip, `pole`; masses, centres, inertias, armature, gravity. */
     constructor(data) {
       Object.assign(this, data);
       this.n = this.parents.length;
@@ -271,6 +283,43 @@ const Kinematics = (() => {
         if (p >= 0) { mass[p] += M; for (let k = 0; k < 3; k++) moment[3 * p + k] += moment[3 * i + k]; }
       }
       return { energy, torque };
+    }
+    /** Mass matrix M, n × n, after `place`: composite rigid bodies, seen from the origin of the world. */
+    mass() {
+      const n = this.n, world = this.world, M = new Float64Array(n * n), cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+      const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2], masses = Float64Array.from(this.masses), moments = [], inertias = [], motions = [];
+      for (let i = 0; i < n; i++) {
+        const w = 12 * i, R = world.subarray(w, w + 9), p = world.subarray(w + 9, w + 12), axis = [R[2], R[5], R[8]], m = masses[i];
+        const c = times(R, this.centres[i], 3, 3, 1).map((x, k) => x + p[k]), I = times(times(R, this.inertias[i], 3, 3, 3), transposed(R, 3, 3), 3, 3, 3);
+        for (let a = 0; a < 3; a++) for (let b = 0; b < 3; b++) I[3 * a + b] += m * ((a === b ? dot(c, c) : 0) - c[a] * c[b]);
+        moments.push(c.map(x => m * x));
+        inertias.push(I);
+        motions.push(this.prismatic[i] ? { turn: [0, 0, 0], way: axis } : { turn: axis, way: cross(p, axis) });
+      }
+      for (let i = n - 1; i >= 0; i--) {
+        const { turn, way } = motions[i], own = cross(turn, moments[i]), about = cross(moments[i], way), spin = times(inertias[i], turn, 3, 3, 1);
+        const push = own.map((x, k) => x + masses[i] * way[k]), moment = about.map((x, k) => x + spin[k]);
+        for (let j = i; j >= 0; j = this.parents[j]) M[i * n + j] = M[j * n + i] = dot(motions[j].turn, moment) + dot(motions[j].way, push);
+        M[i * (n + 1)] += this.armature[i];
+        const p = this.parents[i];
+        if (p < 0) continue;
+        masses[p] += masses[i];
+        for (let k = 0; k < 3; k++) moments[p][k] += moments[i][k];
+        for (let k = 0; k < 9; k++) inertias[p][k] += inertias[i][k];
+      }
+      return M;
+    }
+    /** Inertial coupling of z and v on the chart that is based where the robot is, after `place`; NaN where M is not positive.
+     *
+     * The cosine, in the metric M, of the least angle between the motions along Jᵀ and those that leave the task at rest.
+     */
+    coupling(J) {
+      const { m, n } = this, L = cholesky(this.mass(), n);
+      if (!L) return NaN;
+      // Where M is the identity, motions along Jᵀ are Lᵀ Jᵀ, and those at rest are normal to the rows of J L⁻ᵀ.
+      const task = rowBasis(times(J, L, m, n, n), m, n), rest = rowBasis(transposed(solve(L, transposed(J, m, n), n, m).X, n, m), m, n);
+      const inside = times(rest, times(transposed(rest, n, m), task, m, n, m), n, m, m), left = task.map((x, i) => x - inside[i]);
+      return Math.sqrt(Math.max(eigenvalues(times(transposed(left, n, m), left, m, n, m), m)[m - 1], 0));
     }
     /** Least distance of two of the robot's capsules [m], Infinity where none are known; after `place`. */
     clearance() {

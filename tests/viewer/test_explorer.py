@@ -16,6 +16,7 @@ from eos_pin import (
     Chart,
     DistanceTask,
     EosError,
+    ExtendedDynamics,
     InputError,
     OrientationTask,
     Robot,
@@ -121,21 +122,24 @@ def test_page_changes_charts_as_the_package_does(name: str, kind: str) -> None:
 
 @needs_node
 @pytest.mark.parametrize(("name", "kind"), ROBOTS[:3])
-def test_page_computes_gravity_and_distances(name: str, kind: str) -> None:
+def test_page_computes_gravity_inertia_and_distances(name: str, kind: str) -> None:
     task, q = made(name, kind)
     robot = task.robot
     data, _ = described(task, q)
     states = points(task, Chart.from_base(task, q), 5, 3)
     program = (
         "return cases.map(q => { const {J} = robot.evaluate(q), {energy, torque} = robot.gravityLoad();"
-        "return [energy, torque, robot.clearance(), robot.manipulability(J)]; });"
+        "return [energy, torque, robot.clearance(), robot.manipulability(J), robot.mass(), robot.coupling(J)]; });"
     )
     clearances = Clearances(Bodies.fitted(robot))
-    for (energy, torque, apart, seen), x in zip(
+    for (energy, torque, apart, seen, mass, coupling), x in zip(
         computed(data, [x.tolist() for x in states], program), states, strict=True
     ):
         assert energy == pytest.approx(robot.potential_energy(x), abs=1e-9)
         assert np.abs(torque - robot.gravity(x)).max() < 1e-9
+        assert np.abs(np.reshape(mass, (robot.n, robot.n)) - robot.mass(x)).max() < 1e-9
+        based = ExtendedDynamics.from_state(robot, Chart.from_base(task, x), x, 0.0 * x)
+        assert coupling == pytest.approx(based.coupling, abs=1e-9)
         assert apart == pytest.approx(float(clearances.pairs(x[:, None]).min()), abs=1e-9)
         sigma = np.linalg.svd(task.linearize(x)[1], compute_uv=False)
         assert seen["value"] == pytest.approx(sigma.prod())
@@ -196,6 +200,14 @@ def test_page_stays_on_the_task_all_round_the_loop() -> None:
     assert np.isfinite(ended).all()
 
 
+def test_colours_of_the_loop_are_those_of_cividis() -> None:
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    colours = explorer.COLOURS.split()
+    assert colours == [to_hex(colour) for colour in colormaps["cividis"](np.linspace(0.0, 1.0, len(colours)))]
+
+
 def test_explorer_refuses_tasks_and_robots_without_formulas(panda: Robot, tmp_path: Path) -> None:
     q = np.array([0.0, 0.3, 0.0, -1.8, 0.0, 1.6, 0.1])
     with pytest.raises(InputError, match=r"formulas for the tasks position, orientation, pose, heading"):
@@ -253,6 +265,16 @@ def test_explorer_moves_task_and_self_motion_by_hand(chromium: Chromium, written
         # The page has no margin beyond the edge.
         inside = np.linalg.det(J @ chart.U) > 0.0
         assert margin == pytest.approx(chart.margin(J) if inside else 0.0, abs=1e-9)
+    # What is chosen is the height of the map and the colour of the loop, between the values beside the scale.
+    page.js("{ const s = document.querySelector('#panel h2 select'); s.value = 'coupling'; s.onchange(); }")
+    shown = page.js("[...document.querySelectorAll('#panel .scale span')].map(each => Number(each.textContent))")
+    M, J = task.robot.mass(np.array(nodes[0])), task.linearize(np.array(nodes[0]))[1]
+    along, rest = J.T, np.linalg.svd(J)[2][-1]
+    shared = np.linalg.solve(along.T @ M @ along, along.T @ M @ rest)
+    cosine = np.sqrt(rest @ M @ along @ shared / (rest @ M @ rest))
+    couplings = page.js("explorer.loop().heights.map(each => each.coupling)")
+    assert couplings[0] == pytest.approx(cosine, abs=1e-9)
+    assert shown == pytest.approx([min(couplings), max(couplings)], rel=6e-3)
     drag(page, 1, -60.0, 15.0)
     elbow = state(page)
     assert np.abs(np.array(elbow["v"]) - start["v"]).max() > 0.05
