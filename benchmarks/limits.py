@@ -10,8 +10,9 @@ continuous, the most it changes from one period to the next shrinks with the per
 
 As many runs are made with payloads and joints too weak for gravity, where limits are passed: `weak_joints.py` judges
 each time they are, and compares how many joints are lost with how many must be. Where torques change most there, the
-way from one sample to the next is divided: a continuous torque has smaller steps then, whatever path a run takes, and
-where it is steepest no step is left in the end. With --write the counts go into docs/limits.md.
+run is repeated at shorter and shorter periods, and the way from one sample to the next is divided: a continuous torque
+has smaller steps then, and where it is steepest no step is left in the end. With --write the counts go into
+docs/limits.md.
 """
 
 from __future__ import annotations
@@ -35,12 +36,13 @@ from weak_joints import (
     NARROW,
     NOT_ALONE,
     PARTS,
+    WEAK_PERIODS,
     WRONG,
     Outcome,
     divided_steps,
     weak_figures,
     weak_one,
-    weak_step,
+    weak_steps,
 )
 
 from eos_pin import (
@@ -63,6 +65,8 @@ OVER = 1e-6
 BACK, DURATION, OFF = 1.5, 3.0, 1e-2
 #: Control periods of runs that are repeated [s].
 PERIODS = (1e-3, 5e-4, 2.5e-4)
+#: Ratio of steps at two periods, one twice the other, from which the step counts as halved.
+HALVES = 1.8
 #: Document that --write fills.
 DOCUMENT = HOME / "docs" / "limits.md"
 #: Verdicts in the words of the document.
@@ -181,10 +185,13 @@ def main(
         if count and repeated:
             steps = parallel(delayed(largest_step)(seed, period) for seed in range(first, first + min(repeated, count)))
             figures[f"largest step of the torque {ms}"] = float(np.median(list(steps)))
-        if wild:
-            steps = parallel(delayed(weak_step)(seed, period / PERIODS[0]) for seed in wild)
-            figures[f"with weak joints, where limits were passed, {ms}"] = float(np.median(list(steps)))
     if wild:
+        halved = np.array(list(parallel(delayed(weak_steps)(seed) for seed in wild)))
+        for period, steps in zip(WEAK_PERIODS, halved.T, strict=True):
+            figures[f"with weak joints, where limits were passed, at 1/{1.0 / period:.0f} s"] = float(np.median(steps))
+        ratio = halved[:, -2] / halved[:, -1]
+        figures["of the last two of these, ratio, median"] = float(np.median(ratio))
+        figures[f"runs in which it is {HALVES:g} or more"] = int((ratio >= HALVES).sum())
         divided = np.array(list(parallel(delayed(divided_steps)(seed) for seed in wild)))
         for parts, steps in zip((*PARTS, f"{1.0 / NARROW:g}"), divided.T, strict=True):
             figures[f"the same, the way between samples in {parts} parts"] = float(np.median(steps))
@@ -196,12 +203,17 @@ def main(
     if write:
         fill(DOCUMENT, "lost", told(runs))
         if wild:
-            median, most = np.median(divided[:, -1]), divided[:, -1].max()
+            chain = ", ".join(f"{step:.3g}" for step in np.median(halved, axis=0))
+            first, last = (round(1.0 / period) for period in (WEAK_PERIODS[0], WEAK_PERIODS[-1]))
             fill(
                 DOCUMENT,
-                "steepest",
-                f" {median:.1g} N m in the median of {len(wild)} runs, and {most:.1g} N m at most ",
+                "halved",
+                f" {chain} N m at 1/{first}, … 1/{last} s in the median of {len(wild)} runs, and the last is at most "
+                f"{1.0 / HALVES:.2g} of the one before in {(ratio >= HALVES).sum()} of them ",
             )
+            median, most = np.median(divided[:, -1]), divided[:, -1].max()
+            text = f" {median:.1g} N m in the median of these runs, and {most:.1g} N m at most "
+            fill(DOCUMENT, "steepest", text)
     wrong = (torque > 1.0 + 1e-12).any() or (over > OVER).any()
     return 1 if wrong or any(row.torque > 1.0 + 1e-12 or WRONG in row.verdicts.values() for row in runs) else 0
 

@@ -37,6 +37,9 @@ from eos_pin import (
 
 #: Control period, whose multiples are exact [s].
 PERIOD = 2.0**-10
+#: Control periods at which the steepest stretch of a run is repeated [s], and its half width in periods of 1/1024 s.
+WEAK_PERIODS = tuple(PERIOD / 2**k for k in range(7))
+AROUND = 8
 #: When the target is back, and when a run ends [s].
 BACK, END = 1.5, 2.0
 #: Robots that get payloads and weak joints, and what they are rated for [kg].
@@ -102,8 +105,8 @@ def loaded(seed: int) -> tuple[Robot, str, np.random.Generator]:
     return replace(robot, model=model), frame, random
 
 
-def weak_run(seed: int, period: float = PERIOD) -> tuple[Result, Asked]:
-    """Run of a robot with a payload and weak joints, every control period of it."""
+def weak_setting(seed: int) -> tuple[PositionTask, np.ndarray, Geodesic]:
+    """Task of a robot with a payload and weak joints, the joints at the start, and the path."""
     robot, frame, random = loaded(seed)
     task = PositionTask(robot, frame)
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
@@ -111,10 +114,16 @@ def weak_run(seed: int, period: float = PERIOD) -> tuple[Result, Asked]:
     z = task.value(q)
     step = random.normal(size=3)
     step *= random.uniform(0.0, 0.7) / np.linalg.norm(step)
-    path = Geodesic(task, np.array([z, z + step, z]), np.array([0.0, 0.5 * BACK, BACK]))
-    controller = Asked(task, path, control_period=period)
-    run = simulate_sampled(robot, controller, q, duration=END, control_period=period, record_rate=1.0 / period)
-    return run, controller
+    return task, q, Geodesic(task, np.array([z, z + step, z]), np.array([0.0, 0.5 * BACK, BACK]))
+
+
+def weak_run(seed: int) -> tuple[Result, Asked]:
+    """Run of a robot with a payload and weak joints, every control period of it."""
+    task, q, path = weak_setting(seed)
+    controller = Asked(task, path, control_period=PERIOD)
+    return simulate_sampled(
+        task.robot, controller, q, duration=END, control_period=PERIOD, record_rate=1.0 / PERIOD
+    ), controller
 
 
 class Judge:
@@ -315,10 +324,32 @@ def weak_figures(runs: Sequence[Outcome]) -> dict[str, float]:
     }
 
 
-def weak_step(seed: int, part: float) -> float:
-    """The most a torque changes from one period to the next, but where a chart is left, in shorter periods."""
-    run, _ = weak_run(seed, part * PERIOD)
-    return float(np.abs(np.diff(run.tau, axis=0))[np.diff(run.chart) == 0].max())
+def weak_steps(seed: int) -> list[float]:
+    """The most a torque changes from one period to the next, for each of `WEAK_PERIODS`, where a run does so most.
+
+    All begin in one state shortly before, and pass no change of charts.
+    """
+    run, _ = weak_run(seed)
+    task, _, path = weak_setting(seed)
+    steps = np.where(np.diff(run.chart) == 0, np.abs(np.diff(run.tau, axis=0)).max(axis=1), 0.0)
+    first = max(int(steps.argmax()) - AROUND, 0)
+    largest = []
+    for period in WEAK_PERIODS:
+        moved = Geodesic(task, path.points, path.times - run.t[first])
+        controller = LimitedEosController(task, moved, control_period=period)
+        part = simulate_sampled(
+            task.robot,
+            controller,
+            run.q[first],
+            run.dq[first],
+            duration=2 * AROUND * PERIOD,
+            control_period=period,
+            record_rate=1.0 / period,
+        )
+        # The first periods have no measured acceleration to begin from.
+        same = (np.diff(part.chart) == 0) & (part.t[1:] > AROUND // 4 * PERIOD)
+        largest.append(float(np.abs(np.diff(part.tau, axis=0))[same].max()))
+    return largest
 
 
 def divided_steps(seed: int) -> list[float]:

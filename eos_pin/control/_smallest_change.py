@@ -117,17 +117,14 @@ class SmallestChange:
             upper: Largest change of both.
         """
         status, change = self.program(J, M, lower, upper)
-        self.lost = status == UNDECIDED
-        if status == DONE:
-            return change
+        self.lost = status != DONE
         if self.lost:
-            return self._without_the_lost(M, lower, upper, change)
-        # Only numbers beyond all reason have no solution; then every joint for itself.
-        n = len(M)
-        return np.clip(0.0, lower[:n], upper[:n])
+            # Rarely daqp finds no end among such prices, which the steps below do without.
+            return self._without_the_lost(M, lower, upper, change if status == UNDECIDED else None)
+        return change
 
     def _without_the_lost(
-        self, M: Float[Array, "n n"], lower: Float[Array, "2*n"], upper: Float[Array, "2*n"], change: JointVector
+        self, M: Float[Array, "n n"], lower: Float[Array, "2*n"], upper: Float[Array, "2*n"], change: JointVector | None
     ) -> JointVector:
         """Smallest change where no torques keep all joints within their bounds.
 
@@ -135,7 +132,7 @@ class SmallestChange:
             M: Mass matrix.
             lower: As above.
             upper: As above.
-            change: Change within the torque limits.
+            change: Change within the torque limits, if one is known.
         """
         n, inertia, W = len(M), M.diagonal(), np.linalg.inv(M)
         least, most = np.maximum(lower[:n], -FAR), np.minimum(upper[:n], FAR)
@@ -153,7 +150,10 @@ class SmallestChange:
         rows /= reach[:, None]
         below = np.concatenate(((low - middle) / half, np.full(n, -FAR)))
         above = np.concatenate(((high - middle) / half, np.full(n, FAR)))
-        kinds, push, known = np.zeros(2 * n, dtype=np.intc), np.zeros(n), not span.any()
+        kinds, push, known = np.zeros(2 * n, dtype=np.intc), np.zeros(n), change is not None and not span.any()
+        if change is None:
+            # Only numbers beyond all reason have no solution; then every joint for itself.
+            change = np.clip(0.0, lower[:n], upper[:n])
         for j in self._order:
             below[n + j], above[n + j] = (least[j] - offset[j]) / reach[j], (most[j] - offset[j]) / reach[j]
             if known and least[j] <= change[j] <= most[j]:
