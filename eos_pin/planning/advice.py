@@ -10,6 +10,7 @@ import numpy as np
 
 from eos_pin._arrays import Array
 from eos_pin.errors import EosError
+from eos_pin.planning.grid import lengths_of
 from eos_pin.planning.manifolds.manifold import self_motion_manifold
 from eos_pin.planning.obstacles.bodies import Clearances
 from eos_pin.planning.obstacles.scene import Box, Capsule, Scene
@@ -17,6 +18,8 @@ from eos_pin.planning.problem import Bar, Problem
 
 #: Distances by which a solid is made smaller all around [m], and ranges by which limits are widened [rad or m].
 DISTANCES, RANGES = (0.03, 0.1), (0.1, 0.4)
+#: Size of the smaller path that is tried, as a part of its own.
+SIZE = 0.8
 #: Seconds of the processor that changes are tried for: at least, at most, and as a part of the search's.
 LEAST, MOST, PART = 2.0, 15.0, 1.0
 #: Causes that are looked at, most frequent first.
@@ -31,11 +34,15 @@ class Change:
         words: The change in words, after "with".
         problem: The problem with it.
         jumps: Whether joints may jump.
+        size: Size of the path as a part of its own.
+        pace: Pace as a part of its own; joints may go steps that are longer by as much.
     """
 
     words: str
     problem: Problem
     jumps: bool = False
+    size: float = 1.0
+    pace: float = 1.0
 
 
 class _TimeUpError(Exception):
@@ -83,25 +90,51 @@ def tried(
     return helpful, useless
 
 
-def changes_for(problem: Problem, bars: Sequence[Bar], jumps: bool, closed: bool) -> list[Change]:
-    """Changes that take away the most frequent causes, whole turns where they may help, and jumps; those not there yet.
+def changes_for(
+    problem: Problem, bars: Sequence[Bar], jumps: bool, closed: bool, bounded: bool = False
+) -> list[Change]:
+    """Changes that take away the most frequent causes, or make a motion easier to find, those not there yet.
+
+    After the causes come whole turns where they may help, jumps, a slower path and a smaller one.
 
     Args:
         problem: The problem.
         bars: Causes.
         jumps: Whether joints may jump.
         closed: Whether the path is closed.
+        bounded: Whether steps of joints are bounded.
     """
     made: list[Change] = []
-    for bar in bars[:CAUSES]:
+    for i, bar in enumerate(bars[:CAUSES]):
         if bar.joint is not None:
             made += _wider(problem, bar)
-        elif bar.solid:
+        elif bar.solid and bar.solid not in [other.solid for other in bars[:i]]:
             made += _further(problem, bar.solid)
     winding = replace(problem, winding=True)
     if closed and not problem.winding and winding.winds.any():
         made.append(Change("whole turns each round allowed (allow_winding=True, --allow-winding)", winding))
-    return made if jumps else [*made, Change("reconfigurations allowed", problem, jumps=True)]
+    if not jumps:
+        made.append(Change("reconfigurations allowed", problem, jumps=True))
+    if bounded:
+        made.append(Change("steps of joints twice as long (half the pace)", problem, jumps, pace=0.5))
+    if lengths_of(problem.manifold.task):
+        made.append(Change(f"the path at {SIZE:.0%} of its size", problem, jumps, size=SIZE))
+    return made
+
+
+def next_steps(problem: Problem, useless: Sequence[str]) -> str:
+    """Changes that were tried in vain, and those that are left to try, in words."""
+    task = problem.manifold.task
+    left = ["lead the path elsewhere", "search longer (--effort)"]
+    if any("size" in words for words in useless):
+        left[0] = "move the path, or make it smaller still"
+    elif lengths_of(task):
+        left[0] = "move the path or make it smaller"
+    if 0 < lengths_of(task) < task.m:
+        left.insert(0, "leave the orientation free (--task position) or give it a tolerance (--tolerance)")
+    ways = f"{', '.join(left[:-1])}, or {left[-1]}" if left[1:] else left[0]
+    tries = f"Quick searches found none either with {'; '.join(useless)}. " if useless else ""
+    return f"{tries}Next, {ways}"
 
 
 def _wider(problem: Problem, bar: Bar) -> list[Change]:

@@ -11,10 +11,10 @@ import numpy as np
 
 from eos_pin._arrays import Array
 from eos_pin.errors import PlanError
-from eos_pin.planning.advice import Change, Deadline, advice, changes_for, components_at, tried
+from eos_pin.planning.advice import Change, Deadline, advice, changes_for, components_at, next_steps, tried
 from eos_pin.planning.courses import Mended, broken_at, mended, prolonged
 from eos_pin.planning.grid import Grid
-from eos_pin.planning.problem import Problem, told
+from eos_pin.planning.problem import Bar, Problem, told
 from eos_pin.planning.refine import ROUNDS, Course, refine, without_bounds
 from eos_pin.planning.search import Failure, Layers, Ticked
 from eos_pin.planning.whole import SPACING, WholeLayers
@@ -316,7 +316,7 @@ class Search:
         twice = ". A search with twice as many points and postures found none either" if self.confirmed else ""
         if self.failures and not self.notes:
             failure, row = max(self.failures, key=lambda item: item[1])
-            helps = self._helps(changes_for(problem, failure.bars, self.reconfigurations, grid.closed), spent)
+            helps = self._helps(failure.bars, spent)
             if failure.layer < 0:
                 return PlanError(
                     f"no joints at {grid.called(0)}, where the path begins: {told(failure.bars)}, of 400 postures "
@@ -345,25 +345,29 @@ class Search:
         rest = [note for note in dict.fromkeys(self.notes) if not note.startswith(jump)]
         reasons = "; ".join([*rest, *([jump + ", or at ".join(at[:3])] if at else [])]) or "the search found none"
         kind = "closed motion" if grid.closed else "motion"
-        helps = self._helps(changes_for(problem, (), self.reconfigurations, grid.closed), spent)
+        helps = self._helps((), spent)
         return PlanError(
             f"no {kind} was found ({problem.r} redundant joints, {len(grid.Z)} points): {reasons}{twice}. "
-            + (helps or "Search longer (--effort), allow less clearance or margin, or lead the path elsewhere"),
+            + (helps or next_steps(problem, ())),
             None,
             0.0,
         )
 
-    def _helps(self, changes: Sequence[Change], spent: float) -> str:
+    def _helps(self, bars: Sequence[Bar], spent: float) -> str:
         """Changes that were tried, in sentences; empty where time was too short for any."""
+        problem, grid, step = self.problem, self.grid, self.step
 
         def solve(change: Change, deadline: Deadline) -> Array | None:
-            ends = self.start, self.end
-            return Search(change.problem, self.grid, self.step, ends, change.jumps, self.seed, deadline, 2).run(1)
+            path = grid if change.size == 1.0 else grid.smaller(change.size)
+            bounds = None if step is None else step / change.pace
+            ends = self.start, self.end if change.size == 1.0 else None
+            return Search(change.problem, path, bounds, ends, change.jumps, self.seed, deadline, 2).run(1)
 
+        changes = changes_for(problem, bars, self.reconfigurations, grid.closed, step is not None)
         helpful, useless = tried(changes, solve, spent)
         if helpful:
             return f"With {helpful[0]} there is one" + (f", not yet with {' or '.join(useless)}" if useless else "")
-        return f"No quick search found one with {' or '.join(useless)} either" if useless else ""
+        return next_steps(problem, useless) if useless else ""
 
 
 def _same(a: Array, b: Array) -> bool:

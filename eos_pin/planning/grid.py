@@ -20,7 +20,7 @@ from eos_pin.errors import InputError
 from eos_pin.planning.plans import Plan
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import PointLike, Task
-from eos_pin.trajectories.base import Trajectory
+from eos_pin.trajectories.base import Target, Trajectory
 from eos_pin.trajectories.through import WaypointPath, sampled, span, stretched, waypoint_path
 
 #: Longest way between two points, in reaches of the robot and radians together, and between two layers of a search.
@@ -149,6 +149,11 @@ class Grid:
             return plan
         return replace(plan, path=path, times=plan.start + factor * (plan.times - plan.start))
 
+    def smaller(self, factor: float) -> Grid:
+        """The path shrunk towards its first point, orientations as they are."""
+        path = _SmallerPath(self.path, factor, self.Z[0], lengths_of(self.task))
+        return replace(self, path=path, Z=path.shrunk(self.Z))
+
     def finer(self, parts: int = 2) -> Grid:
         """The same path with more points."""
         steps = np.arange(parts) / parts
@@ -158,6 +163,32 @@ class Grid:
         if not self.closed:
             times, dt = np.append(times, self.times[-1]), np.append(dt, self.dt[-1])
         return replace(self, times=times, Z=sampled(self.path, times), dt=dt, marks=self.marks * parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _SmallerPath(Trajectory):
+    """A path whose first coordinates, lengths, are shrunk towards a point."""
+
+    path: Trajectory
+    factor: float
+    point: Array
+    lengths: int
+
+    def __call__(self, t: float) -> Target:
+        z, dz, ddz = self.path(t)
+        k, part = self.lengths, np.ones(len(dz))
+        part[:k] = self.factor
+        return Target(self.shrunk(z[None])[0], part * dz, part * ddz)
+
+    def shrunk(self, Z: Float[Array, "L size"]) -> Float[Array, "L size"]:
+        k, shrunk = self.lengths, Z.copy()
+        shrunk[:, :k] = self.point[:k] + self.factor * (Z[:, :k] - self.point[:k])
+        return shrunk
+
+
+def lengths_of(task: Task) -> int:
+    """Number of first coordinates of a task's points that are lengths."""
+    return next((i for i, unit in enumerate(task.units) if unit != "m"), task.m)
 
 
 def grid_of(

@@ -132,7 +132,7 @@ def test_plan_that_may_wind_begins_at_a_given_start_and_has_more_redundancy(link
 
 def test_whole_turns_are_tried_where_a_closed_path_was_refused():
     problem = problem_of(Manifold(around()[0]), None, None, False, 0.0, 0.0, None, None, 1.0)
-    (change, _), open_ = changes_for(problem, (), False, True), changes_for(problem, (), False, False)
+    (change, *_), open_ = changes_for(problem, (), False, True), changes_for(problem, (), False, False)
     assert change.problem.winding
     assert "--allow-winding" in change.words
     assert "turns" not in " ".join(other.words for other in open_)

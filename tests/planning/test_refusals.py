@@ -55,6 +55,19 @@ def test_refusal_advises_range_of_the_joint_that_ends_the_path(two_links):
     assert 0.9 < refused.value.reached < 1.0
 
 
+def test_refusal_advises_a_smaller_path_that_is_within_reach(two_links):
+    """The path leaves the reach of 2 by a tenth; at 80 % of its size it ends at 1.89."""
+    path = [[x, 0.1] for x in np.linspace(1.1, 2.1, 12)]
+    with pytest.raises(PlanError, match="With the path at 80% of its size there is one"):
+        plan(PositionTask(two_links, "link3", "xy"), path, effort=1)
+
+
+def test_refusal_without_advice_that_helps_has_the_changes_tried_and_those_left(two_links):
+    path = [[x, 0.1] for x in np.linspace(1.1, 3.5, 12)]
+    with pytest.raises(PlanError, match=r"found none either with .*80% of its size.* Next, .* smaller still.*--effort"):
+        plan(PositionTask(two_links, "link3", "xy"), path, effort=1)
+
+
 def test_refusal_is_confirmed_with_twice_the_points_and_postures(two_links):
     path = [[x, 0.1] for x in np.linspace(1.2, 2.4, 7)]
     with pytest.raises(PlanError, match="twice as many points and postures found none") as refused:
