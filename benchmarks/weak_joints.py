@@ -105,8 +105,8 @@ def loaded(seed: int) -> tuple[Robot, str, np.random.Generator]:
     return replace(robot, model=model), frame, random
 
 
-def weak_setting(seed: int) -> tuple[PositionTask, np.ndarray, Geodesic]:
-    """Task of a robot with a payload and weak joints, the joints at the start, and the path."""
+def weak_run(seed: int) -> tuple[Result, Asked]:
+    """Run of a robot with a payload and weak joints, every control period of it."""
     robot, frame, random = loaded(seed)
     task = PositionTask(robot, frame)
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
@@ -114,16 +114,10 @@ def weak_setting(seed: int) -> tuple[PositionTask, np.ndarray, Geodesic]:
     z = task.value(q)
     step = random.normal(size=3)
     step *= random.uniform(0.0, 0.7) / np.linalg.norm(step)
-    return task, q, Geodesic(task, np.array([z, z + step, z]), np.array([0.0, 0.5 * BACK, BACK]))
-
-
-def weak_run(seed: int) -> tuple[Result, Asked]:
-    """Run of a robot with a payload and weak joints, every control period of it."""
-    task, q, path = weak_setting(seed)
+    path = Geodesic(task, np.array([z, z + step, z]), np.array([0.0, 0.5 * BACK, BACK]))
     controller = Asked(task, path, control_period=PERIOD)
-    return simulate_sampled(
-        task.robot, controller, q, duration=END, control_period=PERIOD, record_rate=1.0 / PERIOD
-    ), controller
+    run = simulate_sampled(robot, controller, q, duration=END, control_period=PERIOD, record_rate=1.0 / PERIOD)
+    return run, controller
 
 
 class Judge:
@@ -329,8 +323,9 @@ def weak_steps(seed: int) -> list[float]:
 
     All begin in one state shortly before, and pass no change of charts.
     """
-    run, _ = weak_run(seed)
-    task, _, path = weak_setting(seed)
+    run, asked = weak_run(seed)
+    task, path = asked.task, asked.reference
+    assert isinstance(path, Geodesic)
     steps = np.where(np.diff(run.chart) == 0, np.abs(np.diff(run.tau, axis=0)).max(axis=1), 0.0)
     first = max(int(steps.argmax()) - AROUND, 0)
     largest = []
