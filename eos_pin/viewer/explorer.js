@@ -251,7 +251,9 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
 
   // -- work that is spread over pictures, lest one of them be late ---------------------------------------------------------
   /** Time for it in each picture [ms]. */
-  const SLICE = 4;
+  const SLICE = 3;
+  /** Yielded where what follows takes as long as a slice, so that it begins with the next picture. */
+  const NEXT_PICTURE = Symbol("next picture");
   let looking = null, stale = false;
   /** Look around the posture; while that is going on, once more when it is done. */
   function look() {
@@ -261,7 +263,11 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
     const work = () => {
       // The first time nothing moves yet.
       const end = traced || surveyed ? performance.now() + SLICE : Infinity;
-      while (looking && performance.now() < end) if (looking.next().done) looking = null;
+      while (looking && performance.now() < end) {
+        const { done, value } = looking.next();
+        if (done) looking = null;
+        if (value === NEXT_PICTURE) break;
+      }
       if (looking) requestAnimationFrame(work);
     };
     requestAnimationFrame(work);
@@ -279,6 +285,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
       found.places.push(Array.from(robot.carried(data.elbow.joint, data.elbow.place).subarray(9)));
       yield;
     }
+    yield NEXT_PICTURE;
     traced = found;
     drawnFor = z;
     for (const mesh of loop.children) { mesh.geometry.dispose(); mesh.material.dispose(); }
@@ -409,6 +416,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
       robot.place(found.q);
       kinds[(b + CELLS) * side + a + CELLS] = kindOf(found.q, robot.clearance(), robot.manipulability(found.J).ratio);
     }
+    yield NEXT_PICTURE;
     surveyed = { i, j, chart, z, v, kinds };
     drawSurvey();
   }
