@@ -23,6 +23,7 @@ from pinocchio import (
     getFrameJacobian,
     updateFramePlacement,
 )
+from scipy.linalg.blas import ddot
 from scipy.linalg.lapack import dgesv
 
 from eos_pin._arrays import Array, Jacobian, JointVector, SelfMotionVector, TaskVector, Vector
@@ -64,13 +65,14 @@ class Frame:
     def value(self, q: JointVector) -> Vector:
         """Task point."""
         forwardKinematics(self._model, self._data, q)
-        return self._z()
+        updateFramePlacement(self._model, self._data, self._index)
+        return self._placed().copy()
 
     def linearize(self, q: JointVector) -> tuple[Vector, Jacobian]:
         """Task point and Jacobian."""
         computeJointJacobians(self._model, self._data, q)
         J = getFrameJacobian(self._model, self._data, self._index, WORLD)[self._rows]
-        return self._z(), J if J.ndim == 2 else J[:, None]
+        return self._placed().copy(), J if J.ndim == 2 else J[:, None]
 
     def look(self, q: JointVector, dq: JointVector) -> tuple[Vector, Jacobian, TaskVector]:
         """Task point, in a workspace that the next call fills anew, Jacobian and drift."""
@@ -80,23 +82,19 @@ class Frame:
         J = getFrameJacobian(model, data, index, WORLD)[rows]
         # With one joint Pinocchio's bindings make a vector of what should be a column.
         J = J if J.ndim == 2 else J[:, None]
-        updateFramePlacement(model, data, index)
         drift = getFrameClassicalAcceleration(model, data, index, WORLD).vector[rows]
-        if self._flat is None:
-            return self._place, J, drift
-        self._flat_position[:], self._flat_rotation[:] = self._translation, self._rotation
-        return self._place, J, drift
+        return self._placed(), J, drift
 
     def at(self, q: JointVector, dq: JointVector) -> Any:
         """Task point, Jacobian, velocity and drift."""
         z, J, drift = self.look(q, dq)
         return tuple.__new__(self._made_from[5], (z.copy(), J, J.dot(dq), drift))
 
-    def _z(self) -> Vector:
-        updateFramePlacement(self._model, self._data, self._index)
+    def _placed(self) -> Vector:
+        """Task point where the frame was placed last, in the workspace; `getFrameJacobian` places it, too."""
         if self._flat is not None:
             self._flat_position[:], self._flat_rotation[:] = self._translation, self._rotation
-        return self._place.copy()
+        return self._place
 
 
 class AccelerationMap:
@@ -149,7 +147,7 @@ class AccelerationMap:
 
     def _solve(self, F: JointVector, dq: JointVector) -> tuple[int, JointVector, float]:
         """The same for the Jacobian that is stored in A."""
-        square = float(dq.dot(dq))
+        square = ddot(dq, dq)
         if square > self._runaway:
             F, speed = F.copy(), math.sqrt(square)
             F[self.m :] -= self._braking * (speed - math.sqrt(self._runaway)) * self.Wt.dot(dq)
@@ -157,7 +155,7 @@ class AccelerationMap:
         # H = [U B, D], column by column.
         entries = H.ravel("K")
         UB, D = entries[: self._cut], entries[self._cut :]
-        size = float(UB.dot(UB))
+        size = ddot(UB, UB)
         if not square <= self._fast:
             size *= square / self._fast
         # The least singular value of G' is at least 1 / |U B|, so no direction fades unnoticed; NaN ends here too.
@@ -211,10 +209,9 @@ class TrackingLaw(AccelerationMap):
         K = (task * kp, v_rows * np.negative(kp_v), np.diag(np.negative((*kd, *kd_v))), task * kd, task, -task)
         self._K = np.hstack((*K, (v_rows * kp_v).dot(v)[:, None]))
         # Workspaces, and the parts of x.
-        self._F, self._x = np.zeros(self.n), np.ones(self._K.shape[1])
+        self._x = np.ones(self._K.shape[1])
         parts = np.split(self._x, np.cumsum([part.shape[1] for part in K]))
         self._error, self._Wq, self._dw, self._dz_d, self._ddz_d, self._drift, _ = parts
-        self._v_F = self._F[self.m :]
 
     def __call__(  # type: ignore[override]
         self,
@@ -240,7 +237,6 @@ class TrackingLaw(AccelerationMap):
         else:
             z, J, drift = self._look(q, dq)
         self._G[:] = J
-        F = self._F
         if self._minus is None:
             subtract(z_d, z, self._error)
         else:
@@ -248,9 +244,8 @@ class TrackingLaw(AccelerationMap):
         self.Wt.dot(q, self._Wq)
         self._A.dot(dq, self._dw)
         self._dz_d[:], self._ddz_d[:], self._drift[:] = dz_d, ddz_d, drift
-        self._K.dot(self._x, F)
+        F = self._K.dot(self._x)
         if more is not None:
-            part = self._v_F
-            part += more
+            F[self.m :] += more
         status, ddq, margin = self._solve(F, dq)
         return status, ddq, margin, J

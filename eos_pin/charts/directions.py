@@ -25,13 +25,11 @@ from eos_pin._arrays import (
     frozen_copy,
     unchecked,
 )
-from eos_pin.charts._basis import Basis, iterated_inverse
+from eos_pin.charts._basis import DENSE, Basis, iterated_inverse
 from eos_pin.charts.metric import MetricLike, Weights, cosine
 from eos_pin.errors import ChartError
 from eos_pin.tasks.base import Point, Task
 
-#: Up to this many joints one n × n solve is cheaper than the m × m form with its extra products.
-DENSE_SOLVE = 16
 #: A chart ends where a continuous joint has turned this far from its base, before the other side of the circle [rad].
 TURN = 2.8
 EDGE = "G'U is singular: this configuration is on the edge of the chart; make a chart at it"
@@ -224,7 +222,9 @@ class Directions(Checked):
 
     @checked
     def system(self, J: Jacobian, F: JointVector) -> tuple[Array, Array, JointVector | None]:
-        """Linear system for the joint acceleration that `F` commands: ddq is A⁻¹b, or V F_v + Q A⁻¹b beyond 16 joints.
+        """Linear system for the joint acceleration that `F` commands: ddq is A⁻¹b, or V F_v + Q A⁻¹b for many joints.
+
+        The second form needs no V that is written out: it is for chains of tens and hundreds of joints.
 
         Args:
             J: Jacobian G'(q).
@@ -234,7 +234,7 @@ class Directions(Checked):
             A, b, and V F_v; the last is None where ddq is A⁻¹b. Q is `u_basis`.
         """
         n, m = self.U.shape
-        if n <= DENSE_SOLVE:
+        if n <= DENSE:
             A = self._stacked
             A[:m] = J
             return A, F, None

@@ -20,7 +20,7 @@ from eos_pin._kernels import plain_law
 from eos_pin._kernels.dispatch import DONE, use_compiled
 from eos_pin.charts._basis import DENSE
 from eos_pin.charts.chart import Chart
-from eos_pin.charts.directions import DENSE_SOLVE, EDGE
+from eos_pin.charts.directions import EDGE
 from eos_pin.errors import ChartError
 
 #: Returns the accelerations of joints that are followed; None where none are.
@@ -152,17 +152,16 @@ class AccelerationMap:
 
     def _for_many_joints(self, J: Jacobian, F: JointVector, dq: JointVector, lead: Lead = lambda: None) -> JointVector:
         """The acceleration where V is not written out: V F_v + U B (F_z − G'V F_v)."""
-        chart, m = self.chart, self.chart.m
+        chart = self.chart
         if not (math.isfinite(J.sum()) and math.isfinite(dq.dot(dq))):
             return self._near_singularity(J, F, dq, lead)
-        lifted = chart.basis.apply(self._braked(F, dq)[m:])
-        JQ = J.dot(chart.u_basis)
+        JQ, b, lifted = chart._system(J, self._braked(F, dq))
         LU, pivots, info = lapack.dgetrf(JQ)
         B, singular = lapack.dgetri(LU, pivots)
         UB = B.ravel("K")
         if info or singular or (self.smooth and not UB.dot(UB) * speed_ratio_squared(dq) < self.most):
             return self._near_singularity(J, F, dq, lead)
-        return lifted + chart.u_basis.dot(B.dot(F[:m] - J.dot(lifted)))
+        return lifted + chart.u_basis.dot(B.dot(b))
 
     def _braked(self, F: JointVector, dq: JointVector) -> JointVector:
         """F with braking of the self-motion, if the joints are about to run away."""
@@ -186,9 +185,9 @@ class AccelerationMap:
         m, Q = chart.m, chart.u_basis
         Y, c = damped_system(J / self._units[:, None], F[:m] / self._units, dq, a)
         # Once more for the self-motion: a chart that is worn and cannot be renewed, and joints far too fast.
-        if chart.n <= DENSE_SOLVE:
-            X, x = damped_system(np.vstack((Y, chart.Wt)), np.concatenate((c, F[m:])), dq, a)
+        A, b, lifted = chart._system(Y, np.concatenate((c, F[m:])))
+        if lifted is None:
+            X, x = damped_system(A, b, dq, a)
             return X.T @ x
-        lifted = chart.basis.apply(F[m:])
-        X, x = damped_system(Y @ Q, c - Y @ lifted, Q.T @ dq, None if a is None else Q.T @ a)
+        X, x = damped_system(A, b, Q.T @ dq, None if a is None else Q.T @ a)
         return lifted + Q @ (X.T @ x)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from scipy.linalg.blas import ddot
 
 from eos_pin._arrays import (
     Array,
@@ -359,7 +360,7 @@ class StateMonitor:
     """
 
     def __init__(self, t: float, q: JointVector, jump_squared: float) -> None:
-        self.last, self._jump_squared = (t, q), jump_squared
+        self.last, self._jump = (t, q), math.sqrt(jump_squared)
 
     @property
     def last(self) -> tuple[float, JointVector]:
@@ -368,23 +369,23 @@ class StateMonitor:
     @last.setter
     def last(self, state: tuple[float, JointVector]) -> None:
         self._t, self._q = state[0], state[1].copy()
-        self._shape = self._q.shape
+        self._joints = self._q.tolist()
 
     def accepts(self, t: Any, q: Any, dq: Any) -> bool:
         """Whether a state is as usual; if it is, it is the last one now."""
         try:
-            moved = q - self._q
-            # The length of the move bounds each joint's, so the usual case is one product; NaN never passes.
+            joints = q.tolist()
+            # The length of the move bounds each joint's; NaN never passes.
             if (
-                not moved.dot(moved) < self._jump_squared
+                not math.dist(joints, self._joints) < self._jump
                 or not self._t <= t < math.inf
-                or not math.isfinite(dq.dot(dq))
-                or not q.shape == dq.shape == self._shape
+                or not math.isfinite(sum(dq.tolist()))
+                or not q.shape == dq.shape == self._q.shape
             ):
                 return False
-        except (AttributeError, TypeError, ValueError):
+        except (AttributeError, TypeError, ValueError, OverflowError):
             return False
-        self._t, self._q = t, q.copy()
+        self._t, self._q, self._joints = t, q.copy(), joints
         return True
 
 
@@ -396,5 +397,4 @@ def within_limits_fast(tau: Any, per_limit: Array) -> bool:
         tau: Torques.
         per_limit: One divided by each limit.
     """
-    part = tau * per_limit
-    return bool(part.dot(part) <= 1.0)
+    return bool(ddot(part := tau * per_limit, part) <= 1.0)

@@ -118,7 +118,7 @@ def test_acceleration_needs_neither_h_nor_e(task, data):
     arguments = point.task.J, ddw[: chart.m] - point.task.drift, ddw[chart.m :]
     np.testing.assert_allclose(chart.acceleration(*arguments), expected, atol=tolerance)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(directions, "DENSE_SOLVE", 0)
+        patch.setattr(directions, "DENSE", 0)
         np.testing.assert_allclose(chart.acceleration(*arguments), expected, atol=tolerance)
 
 
@@ -406,7 +406,7 @@ def test_edge_of_a_chart_is_distinguished_from_a_singular_task(chain):
         chart.B(flat)
     for limit in (0, 16):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(directions, "DENSE_SOLVE", limit)
+            patch.setattr(directions, "DENSE", limit)
             with pytest.raises(ChartError, match="edge of the chart"):
                 chart.acceleration(np.zeros_like(J), np.ones(2), np.ones(8))
 

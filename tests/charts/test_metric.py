@@ -85,7 +85,7 @@ def test_identities_hold_in_any_metric(task, data):
     arguments = point.task.J, ddw[: chart.m] - point.task.drift, ddw[chart.m :]
     for limit in (0, 16):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(directions, "DENSE_SOLVE", limit)
+            patch.setattr(directions, "DENSE", limit)
             np.testing.assert_allclose(chart.acceleration(*arguments), expected, atol=10 * tolerance * scale)
     drive = AccelerationMap(chart, smooth=False)
     ddq, bound = drive(point.task.J, np.concatenate(arguments[1:]), point.dq)
