@@ -98,6 +98,22 @@ def planar(*joints, limits=3.0):
     return eos_pin.Robot(model)
 
 
+_LINK = """<link name="link{k}"><inertial><mass value="1"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="joint{k}" type="{kind}"><parent link="link{before}"/>
+<child link="link{k}"/><origin xyz="{x} 0 0"/><axis xyz="0 0 1"/></joint>"""
+
+
+def links(count):
+    """Planar arm of links of 1 m, from a URDF, whose joints have no limits; its tip is the link after the last."""
+    parts = [
+        _LINK.format(k=k, before=k - 1, x=float(k > 1), kind="fixed" if k > count else "continuous")
+        for k in range(1, count + 2)
+    ]
+    urdf = f'<robot name="links"><link name="link0"/>{"".join(parts)}</robot>'
+    return eos_pin.load_robot(urdf, chain_to=f"link{count + 1}")
+
+
 def random_chain(seed):
     """A serial robot: 5 to 12 joints, prismatic and revolute mixed, random axes, offsets and inertias; frame `tip`.
 

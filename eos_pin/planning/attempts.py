@@ -31,6 +31,10 @@ WHOLE = 2
 CONFIRMED = 2
 #: Weights of the barriers while ways are compared.
 ROUGH = (0.3, 0.03)
+#: Distance that is kept at points for each unit that is lacking between them, and more in any case [m].
+FURTHER, SPARE = 1.25, 1e-4
+#: A closed path without a closed way, in words.
+ASTRAY = "the postures that were found do not lead back to where they began"
 
 #: Told what is done and which part of it.
 Progress = Callable[[str, float], None]
@@ -104,6 +108,12 @@ class Search:
         if not self.course.kept(joints):
             joints = mended(self.course, joints).q
         return None if joints is None else refine(self.course, joints)
+
+    def clearer(self, q: Array, lacking: float) -> Array | None:
+        """Joints further from solids at the points, by the distance lacking between them; None without room for it."""
+        self.problem = replace(self.problem, gap=self.problem.gap + FURTHER * lacking + SPARE)
+        kept = mended(self.course, q).q
+        return None if kept is None else refine(self.course, kept)
 
     def _refine_grid(self, grid: Grid) -> None:
         """Go over to twice as many points."""
@@ -224,7 +234,7 @@ class Search:
             return
         ways = layers.ways(self.most)
         if not ways:
-            self.notes.append("the postures that were found do not lead back to where they began")
+            self.notes.append(ASTRAY)
             return
         self._take(ways, Course(problem, layers.Z, dt, grid.closed, step, *self._fixed), rows, attempt.stride > 1)
 
@@ -314,8 +324,11 @@ class Search:
         grid, problem = self.grid, self.problem
         spent = time.thread_time() - self.began
         twice = ". A search with twice as many points and postures found none either" if self.confirmed else ""
-        if self.failures and not self.notes:
-            failure, row = max(self.failures, key=lambda item: item[1])
+        lost, stride, gap = self.failures if not self.notes else [], self.stride, ""
+        if grid.closed and not lost and not self.reconfigurations and {*self.notes} <= {ASTRAY}:
+            lost, stride, gap = self._once_round()
+        if lost:
+            failure, row = max(lost, key=lambda item: item[1])
             helps = self._helps(failure.bars, spent)
             if failure.layer < 0:
                 return PlanError(
@@ -324,7 +337,7 @@ class Search:
                     0,
                     0.0,
                 )
-            following = row + self.stride
+            following = row + stride
             reached = row / max(len(grid.Z) - 1, 1)
             bars = told(failure.bars) if failure.bars else "their steps are longer than joints may go"
             other = (
@@ -347,11 +360,23 @@ class Search:
         kind = "closed motion" if grid.closed else "motion"
         helps = self._helps((), spent)
         return PlanError(
-            f"no {kind} was found ({problem.r} redundant joints, {len(grid.Z)} points): {reasons}{twice}. "
+            f"no {kind} was found ({problem.r} redundant joints, {len(grid.Z)} points): {reasons}{gap}{twice}. "
             + (helps or next_steps(problem, ())),
             None,
-            0.0,
+            1.0 if gap else 0.0,
         )
+
+    def _once_round(self) -> tuple[list[tuple[Failure, int]], int, str]:
+        """Failures of a round that need not end at its start, and their stride; or the gap of one, in words."""
+        step = None if self.step is None else np.concatenate((self.step, self.step[:1]))
+        once = Search(self.problem, self.grid.opened(), step, (self.start, None), False, self.seed, self.progress, 1)
+        q = once.run(1)
+        if q is None:
+            return once.failures, once.stride, ""
+        apart = np.abs(q[-1] - q[0])
+        joint = self.problem.manifold.robot.joints[int(apart.argmax())]
+        unit = "m" if joint.kind == "prismatic" else "rad"
+        return [], 1, f"; joints that went once round ended with {joint.name!r} {apart.max():.3g} {unit} from its start"
 
     def _helps(self, bars: Sequence[Bar], spent: float) -> str:
         """Changes that were tried, in sentences; empty where time was too short for any."""

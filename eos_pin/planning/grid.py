@@ -149,6 +149,13 @@ class Grid:
             return plan
         return replace(plan, path=path, times=plan.start + factor * (plan.times - plan.start))
 
+    def opened(self) -> Grid:
+        """One round of a closed path, which ends at its first point once more."""
+        marks = np.append(self.marks, len(self.Z)) if len(self.marks) else self.marks
+        times, dt = np.append(self.times, self.times[0] + self.dt.sum()), np.append(self.dt, self.dt[-1])
+        Z, count = np.concatenate((self.Z, self.Z[:1])), self.count + 1
+        return replace(self, times=times, Z=Z, dt=dt, closed=False, marks=marks, count=count)
+
     def smaller(self, factor: float) -> Grid:
         """The path shrunk towards its first point, orientations as they are."""
         path = _SmallerPath(self.path, factor, self.Z[0], lengths_of(self.task))

@@ -26,8 +26,8 @@ from eos_pin.trajectories.base import Trajectory
 
 #: Room that is kept from joint limits by default [rad or m].
 MARGIN = 0.01
-#: How many times the points of a path are doubled where the joints between them are not clear.
-FINER = 2
+#: How many times a plan is improved that is not as it should be between its points.
+FINER = 3
 
 
 @checked
@@ -133,21 +133,36 @@ def plan(
         assert refused is not None
         refused.info = {"waypoints": grid.count, "closed": grid.closed, "seconds": time.perf_counter() - began}
         raise refused
-    grid = search.grid
-    for _ in range(FINER + 1):
+    return in_time(_finished(search, q, status, timed, began, seed), timed, acceleration, torque)
+
+
+def _finished(search: Search, q: Array, status: str, timed: bool, began: float, seed: int) -> Plan:
+    """The plan through joints at the points, finer or further from solids where it is not clear between these."""
+    best: Plan | None = None
+    problem, task = search.problem, search.problem.manifold.task
+    for looked in range(FINER + 1):
+        grid = search.grid
         made = Plan(task, grid.path, *grid.knots(q, problem.again(q)), grid.closed, status, {})
         made = made if timed else grid.slowed(made)
+        again: Array | None = None
         try:
             info = figures(made, grid, problem, time.perf_counter() - began, jumps=search.jumps(q), seed=seed)
         except PlanError as error:
             unclear = error
+            again = search.finer(q)
         else:
-            return in_time(replace(made, info=info, jumps=tuple(search.jumps(q))), timed, acceleration, torque)
-        finer = search.finer(q)
-        if finer is None:
+            lacking = 0.0 if (least := info["clearance_between_min"]) is None else problem.gap - least
+            if best is None or least > best.info["clearance_between_min"]:
+                best = replace(made, info=info, jumps=tuple(search.jumps(q)))
+            if lacking > 0.0 and status == "planned" and not search.reconfigurations:
+                # A chord cuts the corner of a box: less with more points, and the rest is kept clear of by distance.
+                again = search.clearer(q, lacking) if looked else search.finer(q)
+        if again is None:
             break
-        q, grid = finer, search.grid
-    raise unclear
+        q = again
+    if best is None:
+        raise unclear
+    return best
 
 
 def _rows(guess: Array | Sequence[VectorLike], shape: tuple[int, int]) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from checks import TAU
+from checks import TAU, links
 
 from eos_pin import EosController, FollowPlan, Plan, PoseTask, PositionTask, load_robot, simulate
 from eos_pin.errors import InputError, PlanError
@@ -53,23 +53,11 @@ def test_closed_plan_does_not_wind_joints_without_limits():
     assert np.abs(joints[-1] - joints[0]).max() < 1e-9
 
 
-CHAIN = """<robot name="chain"><link name="link0"/>{joints}</robot>"""
-JOINT = """<link name="link{k}"><inertial><mass value="1"/>
-<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="joint{k}" type="{kind}"><parent link="link{before}"/>
-<child link="link{k}"/><origin xyz="{x} 0 0"/><axis xyz="0 0 1"/></joint>"""
-
-
-def around(links=3):
+def around(count=3):
     """A planar arm of unit links, its tip at 2.5 around the base: each link has to turn with the tip."""
-    joints = [
-        JOINT.format(k=k, before=k - 1, x=float(k > 1), kind="fixed" if k > links else "continuous")
-        for k in range(1, links + 2)
-    ]
-    robot = load_robot(CHAIN.format(joints="".join(joints)), chain_to=f"link{links + 1}")
     s = np.linspace(0.0, 2.0 * np.pi, 33)
-    circle = (links - 0.5) * np.column_stack((np.cos(s), np.sin(s)))
-    return PositionTask(robot, f"link{links + 1}", "xy"), circle
+    circle = (count - 0.5) * np.column_stack((np.cos(s), np.sin(s)))
+    return PositionTask(links(count), f"link{count + 1}", "xy"), circle
 
 
 def test_closed_path_that_only_whole_turns_follow_is_refused_by_name():
@@ -118,12 +106,12 @@ def test_plan_that_winds_is_followed_round_after_round():
     assert run.info["joint_distance"]["max"] < 1e-5
 
 
-@pytest.mark.parametrize("links", [3, 5])
-def test_plan_that_may_wind_begins_at_a_given_start_and_has_more_redundancy(links):
-    task, circle = around(links)
-    start = plan(task, circle[:3], effort=1).q[0] if links == 3 else None
+@pytest.mark.parametrize("count", [3, 5])
+def test_plan_that_may_wind_begins_at_a_given_start_and_has_more_redundancy(count):
+    task, circle = around(count)
+    start = plan(task, circle[:3], effort=1).q[0] if count == 3 else None
     found = plan(task, circle, closed=True, effort=1, start=start, allow_winding=True)
-    assert found.winding.tolist() == [1, *(links - 1) * [0]]
+    assert found.winding.tolist() == [1, *(count - 1) * [0]]
     assert start is None or np.abs(found.q[0] - start).max() < 1e-9
     rows = found.joints(np.linspace(found.start, found.end, 301))
     np.testing.assert_allclose(found.q[-1] - found.q[0], TAU * found.winding, atol=1e-9)

@@ -9,6 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from checks import TAU, planar
+from scipy.optimize import minimize
+from scipy.stats import kstest
 
 from eos_pin import InputError, PoseTask, PositionTask
 from eos_pin.planning.manifolds.manifold import self_motion_manifold
@@ -214,6 +216,20 @@ def test_arcs_avoid_collision(pose):
     assert found == pytest.approx(share, abs=0.01)
 
 
+def test_random_postures_are_even_along_the_arcs(arm):
+    manifold = self_motion_manifold(PositionTask(arm, "tip", "xy"), [0.4, -0.2], limits=([-3.0] * 3, [3.0, 2.0, 3.0]))
+    arcs = manifold.arcs
+    dense = [manifold.joints(arc, np.linspace(arc.start, arc.end, 401)) for arc in arcs]
+    lengths = np.array([np.linalg.norm(np.diff(Q, axis=0), axis=1).sum() for Q in dense])
+    drawn = manifold.random(1000)
+    gaps = np.array([np.linalg.norm(drawn[:, None] - Q, axis=2) for Q in dense])
+    assert gaps.min(axis=(0, 2)).max() < 0.02
+    # Places along all arcs, one after the other, are uniform (Kolmogorov and Smirnov's test, 1e-4).
+    arc, node = np.unravel_index(gaps.transpose(1, 0, 2).reshape(1000, -1).argmin(axis=1), gaps.shape[::2])
+    place = (np.cumsum(lengths) - lengths + lengths * node[:, None] / 400.0)[np.arange(1000), arc] / lengths.sum()
+    assert kstest(place, "uniform").pvalue > 1e-4
+
+
 def test_best_posture_is_best(pose):
     manifold = self_motion_manifold(pose, pose.value(poses(pose, 1, seed=2)[0]), seeds=20, tries=60)
 
@@ -257,7 +273,20 @@ def test_covering_of_two_redundant_joints_leaves_no_gaps():
     few = self_motion_manifold(task, z, resolution=resolution, most=20)
     assert len(few.covering.q) == 20
     assert not few.covering.complete
-    assert task.robot.n == manifold.best(lambda q: float(q @ q)).size
+    # Posture by posture: one on the manifold is its own nearest; random ones lie between those of the covering.
+    here = others[7]
+    np.testing.assert_allclose(manifold.nearest(here), here, atol=1e-6)
+    drawn = manifold.random(200, seed=2)
+    assert within(drawn, robot.lower, robot.upper)
+    assert max(np.abs(task.value(q) - z).max() for q in drawn) <= 1e-9
+    apart = np.linalg.norm(drawn[:, None] - cover.q, axis=2).min(axis=1)
+    assert apart.max() <= resolution
+    assert np.median(apart) > 0.1 * resolution
+    bounds = np.column_stack((robot.lower, robot.upper))
+    tip = {"type": "eq", "fun": lambda q: task.value(q) - z}
+    least = min(minimize(lambda q: q @ q, q, bounds=bounds, constraints=tip).fun for q in cover.q[::40])
+    best = manifold.best(lambda q: float(q @ q))
+    assert best @ best == pytest.approx(least, abs=1e-5)
 
 
 def test_point_out_of_reach_has_no_posture(arm):

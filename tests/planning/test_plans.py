@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import signal
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from eos_pin import Atlas, EosController, InputError, PoseTask, PositionTask, circle, load_robot, simulate
+from eos_pin import Atlas, InputError, PoseTask, PositionTask, circle, load_robot
 from eos_pin._kernels.distances import segment_to_box, segment_to_segment
 from eos_pin.control.following import FollowJoints, FollowPlan
-from eos_pin.control.joining import distances, journey
+from eos_pin.control.joining import journey
 from eos_pin.errors import PlanError, ResultError
 from eos_pin.planning.obstacles.bodies import Bodies, Clearances
 from eos_pin.planning.obstacles.scene import Box, Capsule, Mesh, Scene, read_scene, sphere
@@ -73,28 +76,6 @@ def test_plan_on_charts_has_the_coordinates_of_its_joints(round_trip, task):
     assert np.abs(chart.acceleration(point.J, point.dz, target.dz) - dq).max() < SOLVED
     ddz = round_trip.path(1.1).ddz - point.drift
     assert np.abs(chart.acceleration(point.J, ddz, target.ddz) - ddq).max() < SOLVED
-
-
-def test_controller_repeats_a_plan_from_the_first_round(task, panda):
-    found = plan(task, circle([0.7, 0.0, 0.4], 0.3, period=4.0))
-    law = FollowPlan(found, panda)
-    controller = EosController(task, found.path, law, atlas=Atlas(task, threshold=0.8))
-    run = simulate(panda, controller, found(0.0).q, dq=found(0.0).dq, duration=4.0, rtol=1e-8)
-    figures = run.summary()
-    assert figures["chart_switches"] > 1
-    assert max(figures["joint_drift_per_cycle"]) < 1e-6
-    assert distances(found, run.t, run.q).max() < 1e-6
-    assert figures["self_motion_error_max"] < 1e-6
-
-
-def test_law_brings_joints_back_to_a_plan(task, panda, round_trip):
-    law = FollowPlan(round_trip, panda)
-    off = round_trip(0.0).q + 0.02
-    controller = EosController(task, round_trip.path, law)
-    run = simulate(panda, controller, off, dq=round_trip(0.0).dq, duration=3.0)
-    left = distances(round_trip, run.t, run.q)
-    assert left[0] > 0.01
-    assert left[-1] < 1e-6
 
 
 def test_journey_joins_a_plan_from_another_posture(task, panda, round_trip):
@@ -241,21 +222,6 @@ def test_fitted_capsules_hold_the_collision_shapes(panda):
         assert away.max() <= capsule.radius + 1e-9
 
 
-def test_plan_keeps_clear_of_a_box_that_the_shortest_motion_touches(panda):
-    task = PositionTask(panda, "panda_hand_tcp")
-    capsules = {f"panda_link{i}": Capsule([0, 0, 0], [0, 0, 0], 0.06) for i in (4, 6)}
-    bodies = Bodies.of(panda, capsules)
-    path = [[0.45, y, 0.35] for y in np.linspace(-0.3, 0.3, 25)]
-    free = plan(task, path)
-    elbow = np.array([panda.placement(q, "panda_link4").translation for q in free.q])
-    scene = Scene([Box(elbow[len(elbow) // 2], [0.05, 0.05, 0.05], name="post")])
-    clear = Clearances(bodies, scene)
-    assert clear(free.q.T).min() < 0.0
-    found = plan(task, path, scene=scene, bodies=bodies, clearance=0.01)
-    assert clear(found.joints(np.linspace(found.start, found.end, 400)).T).min() > 0.0
-    assert found.info["clearance_min"] >= 0.01
-
-
 def test_refusal_names_place_and_body(panda):
     task = PositionTask(panda, "panda_hand_tcp")
     bodies = Bodies.of(panda, {"panda_hand": Capsule([0, 0, 0], [0, 0, 0.1], 0.05)})
@@ -348,15 +314,32 @@ def test_plan_reports_an_interrupt_before_any_motion(task):
     assert stopped.value.stopped
 
 
-def test_interrupt_keeps_the_best_so_far(task):
-    def stop(what, part):
-        if what == "refine" and part == 1.0:
-            raise KeyboardInterrupt
+def test_interrupt_of_the_plan_command_keeps_the_best_so_far(tmp_path, monkeypatch):
+    from eos_pin.cli import plan as command
+    from eos_pin.cli.main import main
 
-    found = plan(task, circle([0.7, 0.0, 0.4], 0.3, period=4.0), progress=stop)
-    assert found.status == "interrupted"
-    assert found.info["status"] == "interrupted"
-    assert found.info["task_error_max"] < SOLVED
+    told = []
+
+    @contextmanager
+    def progress(title):
+        def report(what, part):
+            told.append((what, part))
+            if (what, part) == ("refine", 1.0):
+                signal.raise_signal(signal.SIGINT)
+
+        yield report
+
+    monkeypatch.setattr(command, "_progress", progress)
+    shape = ["--path", "circle", "--size", "0.3", "--centre", "0.4", "0", "0.4", "--closed"]
+    file, table = tmp_path / "plan.json", tmp_path / "joints.csv"
+    assert main(["plan", "panda", *shape, "--json", str(file), "--csv", str(table)]) == 1
+    figures = json.loads(file.read_text())
+    assert figures["status"] == "interrupted"
+    assert figures["task_error_max"] < SOLVED
+    assert len(table.read_text().splitlines()) > 100
+    parts = [part for what, part in told if what == "search"]
+    assert parts == sorted(parts)
+    assert 0.0 < parts[0] < parts[-1] <= 1.0
 
 
 def test_plan_file_is_for_one_robot_tool_and_payload(round_trip, tmp_path, panda):
@@ -419,7 +402,7 @@ def test_follow_joints_refuses_gains_of_another_robot(round_trip):
         FollowJoints(round_trip, kp=[1.0, 2.0])
 
 
-def test_plan_command_writes_figures_and_joints(tmp_path):
+def test_plan_command_writes_figures_and_joints(tmp_path, panda, task):
     from eos_pin.cli.main import main
 
     file = tmp_path / "plan.json"
@@ -430,10 +413,31 @@ def test_plan_command_writes_figures_and_joints(tmp_path):
     figures = json.loads(file.read_text())
     assert figures["status"] == "planned"
     assert figures["closed"] is True
+    assert figures["message"] == ""
+    assert figures["reconfigurations"] == 0
+    assert figures["clearance_min"] is None
+    assert 0.0 < figures["seconds"] < 600.0
+    # The rest by Pinocchio, from the table.
+    assert csv.read_text().startswith("t,panda_joint1,")
+    rows = np.loadtxt(csv, delimiter=",", skiprows=1)
+    t, q = rows[:, 0], rows[:, 1:]
+    assert np.abs(q[-1] - q[0]).max() < SOLVED
+    assert np.diff(t).max() <= 0.01 + 1e-9
+    tips = np.array([panda.placement(row, "panda_hand_tcp").translation for row in q])
+    assert np.abs(np.hypot(tips[:, 0] - 0.5, tips[:, 1]) - 0.1).max() < SOLVED
+    assert np.abs(tips[:, 2] - 0.4).max() < SOLVED
     assert figures["task_error_max"] < SOLVED
-    for name in ("message", "waypoints", "reconfigurations", "joint_step_max", "joint_motion", "limit_distance_min"):
-        assert name in figures
-    assert csv.read_text().startswith("t,panda_joint1")
+    assert figures["joint_motion"] == pytest.approx(np.linalg.norm(np.diff(q, axis=0), axis=1).sum(), rel=1e-3)
+    room = np.minimum(q - panda.lower, panda.upper - q).min()
+    assert figures["limit_distance_min"] == pytest.approx(room, abs=1e-3)
+    at = q[np.linspace(0, len(q) - 1, figures["waypoints"] + 1).round().astype(int)]
+    assert figures["joint_step_max"] == pytest.approx(np.abs(np.diff(at, axis=0)).max(), rel=0.1)
+    base, changes = q[0], 0
+    for row in q:
+        V, W = (np.linalg.qr(task.linearize(one)[1].T)[0] for one in (base, row))
+        if np.linalg.svd(V.T @ W, compute_uv=False)[-1] <= 0.5:
+            base, changes = row, changes + 1
+    assert figures["switches"] == changes
 
 
 def test_plan_command_reports_a_refusal_and_bad_input(tmp_path, capsys):
@@ -486,9 +490,18 @@ def test_replay_of_a_tracked_plan_shows_the_solids_of_its_scene(tmp_path, round_
 
 
 @pytest.mark.usefixtures("quick_pictures")
-def test_track_warns_that_held_self_motion_will_not_repeat(tmp_path, capsys, monkeypatch):
+def test_track_warns_that_held_self_motion_will_not_repeat_and_plans_it(tmp_path, capsys, monkeypatch):
     from eos_pin.cli.main import main
 
     monkeypatch.chdir(tmp_path)
-    main(["track", "panda", "--path", "circle", "--size", "0.3", "--plane", "xz", "--period", "4", "--cycles", "1"])
+    shape = ["--path", "circle", "--size", "0.3", "--plane", "xz", "--period", "4", "--cycles", "1"]
+    words = ["track", "panda", *shape, "--json", "run.json"]
+    main(words)
     assert "--self-motion planned" in " ".join(capsys.readouterr().err.split())
+    assert json.loads(Path("run.json").read_text())["joint_drift_per_cycle"][0] > 0.1
+    assert main([*words, "--self-motion", "planned"]) == 0
+    assert "planned" not in capsys.readouterr().err
+    figures = json.loads(Path("run.json").read_text())
+    assert figures["chart_switches"] > 0
+    assert figures["joint_drift_per_cycle"][0] < 1e-6
+    assert figures["joint_distance"]["max"] < 1e-6

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from checks import links
 
 from eos_pin import InputError, PositionTask, circle, load_robot
 from eos_pin._kernels.ways import Steps, closed_ways, open_ways
@@ -18,9 +19,6 @@ from eos_pin.planning.problem import problem_of
 from eos_pin.planning.search import unbroken
 from eos_pin.tasks.batch import Manifold
 
-JOINT = """<link name="link{k}"/><joint name="joint{k}" type="{kind}"><parent link="link{before}"/>
-<child link="link{k}"/><origin xyz="{x} 0 0"/><axis xyz="0 0 1"/></joint>"""
-
 
 @pytest.fixture(scope="module")
 def task():
@@ -30,10 +28,7 @@ def task():
 @pytest.fixture(scope="module")
 def two_links():
     """A planar arm of two unit links."""
-    joints = [
-        JOINT.format(k=k, before=k - 1, x=float(k > 1), kind="fixed" if k == 3 else "continuous") for k in (1, 2, 3)
-    ]
-    return load_robot(f'<robot name="arm"><link name="link0"/>{"".join(joints)}</robot>', chain_to="link3")
+    return links(2)
 
 
 def test_refusal_advises_distance_that_helps(task):
@@ -73,6 +68,29 @@ def test_refusal_is_confirmed_with_twice_the_points_and_postures(two_links):
     with pytest.raises(PlanError, match="twice as many points and postures found none") as refused:
         plan(PositionTask(two_links, "link3", "xy"), path, effort=2)
     assert refused.value.waypoint == 3
+
+
+def test_refusal_of_a_closed_path_has_the_end_of_a_round_or_its_gap(two_links):
+    """The tip goes around the base, and the first joint with it."""
+    s = np.linspace(0.0, 2.0 * np.pi, 33)
+    circle, task = 1.9 * np.column_stack((np.cos(s), np.sin(s))), PositionTask(two_links, "link3", "xy")
+    with pytest.raises(PlanError, match=r"no motion from .* \(\d+ by the upper limit of 'joint1'\)") as refused:
+        plan(task, circle, closed=True, limits=([-2.0, -2.0], [2.0, 2.0]), effort=1)
+    # The first joint is half the elbow's angle, which is ±0.635 rad, behind the direction of the tip.
+    assert s[refused.value.waypoint] < 2.0 + 0.5 * 2.0 * np.arccos(0.95) < s[refused.value.waypoint + 2]
+    with pytest.raises(PlanError, match=r"went once round ended with 'joint1' 6\.28 rad from its start"):
+        plan(task, circle, closed=True, effort=1)
+
+
+def test_refusal_counts_the_components_that_limits_bar():
+    """Links of 1, 1, 1 have two components with the tip within 1 of the base, and need bent elbows there."""
+    path = [[x, 0.0] for x in np.linspace(1.3, 0.3, 21)]
+    words = "its self-motion manifold there has 2 components, none within the limits"
+    with pytest.raises(PlanError, match=words) as refused:
+        plan(PositionTask(links(3), "link4", "xy"), path, limits=([-3.0, -1.8, -1.8], [3.0, 1.8, 1.8]), effort=1)
+    # Elbows at 1.8 rad both leave the tip so far from the base.
+    least = abs(1.0 + np.exp(1.8j) + np.exp(3.6j))
+    assert path[refused.value.waypoint + 1][0] < least + 0.02 < path[refused.value.waypoint - 1][0]
 
 
 def test_refusal_names_the_way_point_out_of_reach(task):

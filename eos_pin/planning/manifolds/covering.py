@@ -14,11 +14,14 @@ from eos_pin._arrays import Array, JointVector, Vector
 from eos_pin.charts.chart import Chart
 from eos_pin.errors import SingularError
 from eos_pin.tasks.base import Task
+from eos_pin.tasks.batch import Manifold
 
 #: A posture is new where no other is closer than this, in units of the resolution; neighbours are no further apart.
 CLOSEST, FURTHEST = 0.6, 1.5
 #: Random directions that are tried from each posture besides those along its chart's axes.
 DIRECTIONS = 4
+#: Length of steps at which the search for the least value of a criterion ends [rad or m].
+FINEST = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +112,58 @@ def covering(
         waiting.extend(found.q[found.found & near])
     q = kept[:count].copy()
     return Covering(task, q, _neighbours(q, whole, FURTHEST * resolution), complete, resolution)
+
+
+def scattered(
+    cover: Covering,
+    z: Vector,
+    count: int,
+    limits: tuple[JointVector, JointVector],
+    collision: Callable[[JointVector], bool] | None,
+    random: np.random.Generator,
+) -> Float[Array, "count n"]:
+    """Random postures about those of a covering, within the limits."""
+    q = cover.q[random.integers(len(cover.q), size=count)]
+    V = Manifold(cover.task).null(q.T, z[:, None])
+    ways = np.einsum("knr,kr->kn", V, cover.resolution * random.uniform(-0.5, 0.5, (count, V.shape[2])))
+    found = cover.task.kinematics.project(q + ways, z, lower=limits[0], upper=limits[1], most=30)
+    good = found.found & (_distance(found.q - q, np.zeros(q.shape[1])) < FURTHEST * cover.resolution)
+    if collision is not None:
+        good[good] = [not collision(x) for x in found.q[good]]
+    return np.where(good[:, None], found.q, q)
+
+
+def descended(
+    cover: Covering,
+    q: JointVector,
+    z: Vector,
+    criterion: Callable[[JointVector], float],
+    limits: tuple[JointVector, JointVector],
+    collision: Callable[[JointVector], bool] | None,
+) -> tuple[float, JointVector]:
+    """Least value of a criterion near a posture of a covering, and where it is.
+
+    Steps go along the axes of the chart where each ends, within the limits, and are halved where none leads down: the
+    criterion may have edges.
+    """
+    kinematics, (lower, upper) = cover.task.kinematics, limits
+    least, step = criterion(q), cover.resolution
+    while step > FINEST:
+        try:
+            V = Chart.from_base(cover.task, q).V
+        except SingularError:
+            break
+        ways = step * np.concatenate((V.T, -V.T))
+        found = kinematics.project(q + ways, z, lower=lower, upper=upper, most=30)
+        near = _distance(found.q - q, np.zeros(len(q))) < FURTHEST * step
+        rows = [x for x in found.q[found.found & near] if collision is None or not collision(x)]
+        values = [criterion(x) for x in rows]
+        if values and min(values) < least:
+            i = int(np.argmin(values))
+            least, q = values[i], rows[i]
+        else:
+            step *= 0.5
+    return least, q
 
 
 def _distance(difference: Array, whole: JointVector) -> Vector:

@@ -27,7 +27,7 @@ from eos_pin._kernels.kinematics import Kinematics
 from eos_pin.errors import InputError, SingularError, refuse_unused
 from eos_pin.planning.manifolds.arcs import Arc, arc_joints, arcs_within, clear_arcs
 from eos_pin.planning.manifolds.components import Component
-from eos_pin.planning.manifolds.covering import Covering, covering
+from eos_pin.planning.manifolds.covering import Covering, covering, descended, scattered
 from eos_pin.tasks.base import Point, PointLike, Task
 
 #: Whether a robot collides at joints.
@@ -42,6 +42,8 @@ SIDES = 8
 TOLERANCE = 1e-10
 #: Points of an arc among which the best for a criterion is looked for, for each unit of arc length.
 DENSITY = 20
+#: Best postures of a covering from which the best of all is looked for.
+BEST = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +111,7 @@ class SelfMotionManifold:
 
     @checked
     def random(self, count: int, seed: int = 0) -> Float[Array, "count n"]:
-        """Postures within limits and clear of collision, drawn evenly by arc length or from the covering.
+        """Postures within limits and clear of collision, drawn evenly by arc length or about those of the covering.
 
         Raises:
             InputError: There is none.
@@ -117,7 +119,8 @@ class SelfMotionManifold:
         self._need_one()
         random = np.random.default_rng(seed)
         if self.covering is not None:
-            return self.covering.q[random.integers(len(self.covering.q), size=count)]
+            limits = self.lower, self.upper
+            return scattered(self.covering, self.z, count, limits, self.collision, random)
         lengths = np.array([arc.length for arc in self.arcs])
         chosen = random.choice(len(self.arcs), size=count, p=lengths / lengths.sum())
         places = random.random(count)
@@ -141,16 +144,18 @@ class SelfMotionManifold:
     def best(self, criterion: Callable[[JointVector], float]) -> JointVector:
         """Posture within limits and clear of collision at which a criterion is least.
 
-        With one redundant joint the least is looked for between nodes, too; otherwise among the covering's postures.
+        Looked for on all arcs, or from the best postures of the covering, and between nodes, too.
 
         Raises:
             InputError: There is none.
         """
         self._need_one()
         criterion = partial(number_of, "the criterion", criterion)
-        if self.covering is not None:
-            return self.covering.q[int(np.argmin([criterion(q) for q in self.covering.q]))]
         found: list[tuple[float, JointVector]] = []
+        if self.covering is not None:
+            best = np.argsort([criterion(q) for q in self.covering.q], kind="stable")[:BEST]
+            rest = self.z, criterion, (self.lower, self.upper), self.collision
+            found += [descended(self.covering, q, *rest) for q in self.covering.q[best]]
         for arc in self.arcs:
             s = np.linspace(arc.start, arc.end, max(3, math.ceil(DENSITY * arc.length)))
             values = np.array([criterion(q) for q in self.joints(arc, s)])

@@ -1,0 +1,117 @@
+"""Plans among solids, clear of the robot itself, through narrow passages, and with jumps where nothing else is left."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from checks import links
+
+from eos_pin import PositionTask
+from eos_pin.errors import PlanError
+from eos_pin.planning.attempts import Search
+from eos_pin.planning.obstacles.bodies import Bodies
+from eos_pin.planning.obstacles.scene import Box, Capsule, Mesh, Scene, sphere
+from eos_pin.planning.planner import plan
+
+SIDE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+UP = np.array([0.0, 0.0, 0.1])
+PATH = [[0.45, y, 0.35] for y in np.linspace(-0.3, 0.3, 25)]
+
+
+@pytest.fixture(scope="module")
+def elbow(task):
+    """Where the elbow is halfway along the path, if nothing is in the way."""
+    return task.robot.placement(plan(task, PATH).q[12], "panda_link4").translation
+
+
+def from_box(p, centre):
+    return np.linalg.norm(np.maximum(np.abs(p - centre) - 0.025, 0.0))
+
+
+def from_post(p, centre):
+    return np.linalg.norm(p - np.clip(p, centre - UP, centre + UP)) - 0.02
+
+
+@pytest.mark.parametrize(
+    ("solid", "distance"),
+    [
+        (lambda c: Scene([Box(c, [0.05, 0.05, 0.05])]), from_box),
+        (lambda c: Scene(meshes=[Mesh(c + 0.025 * SIDE)]), from_box),
+        (lambda c: Scene([], [sphere(c, 0.03)]), lambda p, c: np.linalg.norm(p - c) - 0.03),
+        (lambda c: Scene([], [Capsule(c - UP, c + UP, 0.02)]), from_post),
+    ],
+    ids=["box", "mesh", "sphere", "capsule"],
+)
+def test_plan_keeps_clear_of_a_solid_that_the_shortest_motion_touches(task, elbow, solid, distance):
+    bodies = Bodies.of(task.robot, {f"panda_link{i}": Capsule([0, 0, 0], [0, 0, 0], 0.06) for i in (4, 6)})
+    found = plan(task, PATH, scene=solid(elbow), bodies=bodies, clearance=0.01)
+    places = [
+        task.robot.placement(q, f"panda_link{i}").translation
+        for q in found.joints(np.linspace(found.start, found.end, 400))
+        for i in (4, 6)
+    ]
+    least = min(distance(p, elbow) for p in places) - 0.06
+    assert least > 0.01 - 1e-4
+    assert found.info["clearance_between_min"] == pytest.approx(least, abs=1e-3)
+    assert found.info["clearance_min"] >= 0.01
+
+
+def points_on(q):
+    """Points along the axis of each link, where its capsule has them."""
+    angle = np.cumsum(q)
+    along = np.column_stack((np.cos(angle), np.sin(angle)))
+    start = np.cumsum(along, axis=0) - along
+    return start[:, None] + np.linspace(0.1, 0.9, 81)[:, None] * along[:, None]
+
+
+def apart(q):
+    """Distance of links that are no neighbours."""
+    on = points_on(q)
+    return min(
+        np.linalg.norm(on[i][:, None] - on[j], axis=2).min() for j in range(len(q)) for i in range(j - 1)
+    )  # fmt: skip
+
+
+def test_plan_keeps_links_clear_of_each_other():
+    task = PositionTask(links(4), "link5", "xy")
+    bodies = Bodies.of(task.robot, {f"link{k}": Capsule([0.1, 0, 0], [0.9, 0, 0], 0.1) for k in range(1, 5)})
+    path = [[0.4, y] for y in np.linspace(-1.5, 1.5, 31)]
+    both = plan(task, path), plan(task, path, bodies=bodies, self_collision=True)
+    least = [min(apart(q) for q in made.joints(np.linspace(made.start, made.end, 200))) for made in both]
+    assert least[0] < 0.2 <= least[1] + 1e-3
+
+
+def test_search_is_refined_in_a_slit_before_it_is_refused(monkeypatch):
+    """A link 10 cm thick goes 70 cm deep into a slit 10.2 cm wide."""
+    tried, attempt = [], Search._attempt
+    monkeypatch.setattr(Search, "_attempt", lambda self, one: tried.append(one) or attempt(self, one))
+    task = PositionTask(links(3), "link4", "xy")
+    bodies = Bodies.of(task.robot, {"link3": Capsule([0, 0, 0], [1, 0, 0], 0.05)})
+    scene = Scene([Box([1.9, side * (0.051 + 0.5), 0.0], [0.8, 1.0, 1.0]) for side in (-1.0, 1.0)])
+    found = plan(task, [[x, 0.0] for x in np.linspace(1.2, 2.2, 21)], scene=scene, bodies=bodies)
+    assert len(tried) > 1
+    assert tried[-1].count > tried[0].count
+    # The link's axis may be 1 mm beside the middle, from the tip to the slit's mouth and the link's own end.
+    for q in found.joints(np.linspace(found.start, found.end, 300)):
+        tip = np.exp(1j * np.cumsum(q)).sum()
+        along = np.exp(1j * q.sum())
+        if tip.real > 1.6:
+            assert abs(along.imag / along.real) * min(tip.real - 1.5, 1.0) < 1.1e-3
+
+
+def test_jumps_are_as_few_as_can_be():
+    """One side of the elbow is within the first joint's limits at the beginning, the other at the end."""
+    task = PositionTask(links(2), "link3", "xy")
+    direction = np.linspace(-0.9, 0.9, 31)
+    path = 2.0 * np.cos(0.25) * np.column_stack((np.cos(direction), np.sin(direction)))
+    limits = [-1.0, -2.0], [0.95, 2.0]
+    with pytest.raises(PlanError, match="by the upper limit of 'joint1'"):
+        plan(task, path, limits=limits, margin=0.0, effort=1)
+    found = plan(task, path, limits=limits, margin=0.0, reconfigurations=True)
+    assert found.info["reconfigurations"] == 1
+    (jump,) = found.info["jumps"]
+    # q1 = direction ± 0.25: within [-1, 0.95] on either side.
+    assert direction[jump + 1] >= -0.75
+    assert direction[jump] <= 0.7
+    steps = np.abs(np.diff(found.at_waypoints(), axis=0)).max(axis=1)
+    assert (np.flatnonzero(steps > 0.2) == [jump]).all()
