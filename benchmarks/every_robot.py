@@ -36,7 +36,8 @@ from eos_pin.cli.output import (
     write_json,
 )
 from eos_pin.errors import InputError
-from eos_pin.experiments.defaults import TaskKind, fitting_path, make_task, rest_posture
+from eos_pin.experiments.applicability import TaskKind
+from eos_pin.experiments.defaults import fitting_path, make_task, rest_posture
 from eos_pin.robot.library import NamedRobot
 from eos_pin.robot.reading.urdf import read_urdf
 

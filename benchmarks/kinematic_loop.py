@@ -81,7 +81,9 @@ def limits(runs: int) -> dict[str, Any]:
         task = make_task(robot, ("position", "pose")[seed // len(ROBOTS) % 2])
         lower, upper = np.maximum(robot.lower, -3.0), np.minimum(robot.upper, 3.0)
         path = fitting_path(task, rest_posture(task), period=float(random.uniform(0.5, 6.0)))
-        law = (Track(), Posture(random.uniform(lower, upper)), Damp())[random.integers(3)]
+        chosen = (Track(), Posture(random.uniform(lower, upper)), Damp())[random.integers(3)]
+        # A task that takes all joints leaves no self-motion.
+        law = chosen if task.m < robot.n else None
         kept = JointLimits.without_torques(robot, acceleration=random.uniform(1.0, 20.0, robot.n))
         h = float(random.choice([0.002, 0.004, 0.008]))
         loop = KinematicLoop(task, path, law, control_period=h, limits=kept)

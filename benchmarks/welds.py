@@ -8,7 +8,8 @@ Ten seeded closed curves of 600 points on curved surfaces, the tool along the no
 * `roll`: the plans with the roll free under EOS torque control, from the plan and from 0.05 rad beside it along the
   self-motion: whether the task is followed, the roll obeys the law that it was given, and the joints repeat.
 * `descartes`: the same curves by Descartes, a ladder graph of sampled rolls, with an interpreter that has
-  tesseract-robotics.
+  tesseract-robotics: by closed forms of all postures on the UR arms, elsewhere by a numerical search, which has one
+  posture for each roll and begins where the plan does.
 
 `--write` puts the tables into docs/planning.md.
 """
@@ -50,7 +51,13 @@ from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
 
 #: Arms and the frame that holds the torch.
-ARMS = {"ur5": "tool0", "panda": "panda_hand", "kinova": "j2s6s200_end_effector"}
+ARMS = {"ur5": "tool0", "panda": "panda_hand", "kinova": "j2s6s200_end_effector", "ur10": "tool0"}
+#: Those that are planned; the others are for Descartes, which has closed forms for them.
+PLANNED = ("ur5", "panda", "kinova")
+#: Where the chain begins, and the names of arms for which Descartes has a closed form; a search for the others.
+BASES = {"ur5": "base_link", "ur10": "base_link", "panda": "panda_link0", "kinova": "base"}
+CLOSED = {"ur5": "UR5", "ur10": "UR10"}
+SOLVERS = {True: "closed form", False: "numerical search"}
 #: Tip of the torch in that frame [m], and the angle by which it is bent, so that no joint turns it about its own axis.
 TIP, BENT = (0.08, 0.0, 0.15), np.radians(35.0)
 #: Part of a robot's reach that the curves are made for.
@@ -60,8 +67,8 @@ MODES = {"free": "free", "cone": "free, axis within 15°", "fixed": "fixed"}
 CONE = float(np.radians(15.0))
 #: Random postures from which joints of a refused curve are searched for.
 STARTS = 40
-#: Largest errors at way points that are accepted [m, rad].
-ACCEPTED = 1e-8
+#: Largest errors at way points that are accepted [m, rad], and those of KDL's search.
+ACCEPTED, SEARCHED = 1e-8, 1e-3
 #: Start beside the plan [rad], rounds, and gains of the roll's law.
 BESIDE, ROUNDS, KP, KD = 0.05, 2, 100.0, 20.0
 #: Part of a round that is driven from beside the plan.
@@ -136,7 +143,7 @@ def planned(mode: str, robot: Robot, seed: int, count: int) -> dict[str, Any]:
     motion[[int(np.searchsorted(found.path.times, t)) - 1 for t in found.jump_times]] = 0.0  # type: ignore[attr-defined]
     return (
         row
-        | {"planned": True, "jumps": len(found.jumps), "motion": float(motion.sum())}
+        | {"planned": True, "jumps": len(found.jumps), "motion": float(motion.sum()), "start": q[0].tolist()}
         | checked(mode, robot, rows, q)
     )
 
@@ -165,7 +172,7 @@ def out_of_reach(robot: Robot, rows: np.ndarray) -> int:
     return count
 
 
-def checked(mode: str, robot: Robot, rows: np.ndarray, q: np.ndarray) -> dict[str, Any]:
+def checked(mode: str, robot: Robot, rows: np.ndarray, q: np.ndarray, most: float = ACCEPTED) -> dict[str, Any]:
     """Check of joints by Pinocchio alone: errors of place and direction, limits, and whether the joints repeat."""
     data, number = robot.model.createData(), robot.model.getFrameId("torch")
     place, turn, tilt = 0.0, 0.0, 0.0
@@ -180,7 +187,7 @@ def checked(mode: str, robot: Robot, rows: np.ndarray, q: np.ndarray) -> dict[st
         else:
             turn = max(turn, float(np.linalg.norm(pin.log3(pose.rotation.T @ z[3:].reshape(3, 3)))))
     inside = bool(((q >= robot.lower) & (q <= robot.upper)).all())
-    accepted = inside and max(place, turn) <= ACCEPTED and tilt <= CONE
+    accepted = inside and max(place, turn) <= most and tilt <= CONE
     return {"error": max(place, turn), "tilt": tilt, "inside": inside, "accepted": accepted}
 
 
@@ -278,18 +285,55 @@ def roll(options: argparse.Namespace) -> int:
 
 
 def peer(options: argparse.Namespace) -> int:
-    """The same curves by Descartes, on UR5, and by `plan`."""
-    robot = arm("ur5")
+    """The same curves by Descartes and by `plan`."""
+    rows: list[dict[str, Any]] = []
+    for name in options.robots.split(","):
+        robot = arm(name)
+        for mode in options.modes.split(","):
+            ours = [planned(mode, robot, seed, options.points) for seed in range(options.count)]
+            theirs = descartes(options, name, robot, mode, [row.pop("start", None) for row in ours])
+            for pair in zip(theirs, ours, strict=True):
+                rows += pair
+                print(json.dumps(pair), flush=True)
+            if options.json:
+                options.json.write_text(json.dumps(rows, indent=1) + "\n")
+    lines = [
+        "| arm | roll | planner | planned | jumps | joint motion [rad] | CPU time [s] | longest [s] |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    worse = 0
+    for name, mode in dict.fromkeys((row["robot"], row["mode"]) for row in rows):
+        both = [row for row in rows if (row["robot"], row["mode"]) == (name, mode)]
+        theirs, ours = both[::2], both[1::2]
+        worse += sum(a["planned"] and not b["planned"] for a, b in zip(theirs, ours, strict=True))
+        worse += sum(b.get("jumps", 0) > a.get("jumps", np.inf) for a, b in zip(theirs, ours, strict=True))
+        steps = f", steps of {options.step:g}°" if mode == "free" else ""
+        lines.append(f"| {name} | {MODES[mode]} | Descartes, {SOLVERS[name in CLOSED]}{steps} | {summed(theirs)}")
+        lines.append(f"| {name} | {MODES[mode]} | `plan` | {summed(ours)}")
+    shown("descartes", lines, options.write)
+    print(f"curves on which `plan` jumps more often than Descartes, or fails where that does not: {worse}")
+    return 1 if worse else 0
+
+
+def descartes(
+    options: argparse.Namespace, name: str, robot: Robot, mode: str, starts: list[list[float] | None]
+) -> list[dict[str, Any]]:
+    """Rows of all curves of an arm by Descartes; where its search is numerical, it begins at the given postures."""
+    rest = np.clip(np.zeros(robot.n), robot.lower, robot.upper).tolist()
     curves = [weld(seed, REACH * robot.reach, options.points) for seed in range(options.count)]
     torch = (
-        f'<link name="torch"/><joint name="tip" type="fixed"><parent link="{ARMS["ur5"]}"/><child link="torch"/>'
+        f'<link name="torch"/><joint name="tip" type="fixed"><parent link="{ARMS[name]}"/><child link="torch"/>'
         f'<origin xyz="{" ".join(map(str, TIP))}" rpy="0 {BENT} 0"/></joint></robot>'
     )
-    named = find_robot("ur5")
+    named = find_robot(name)
     assert named is not None
     given = {
-        "urdf": named.path.read_text().replace("</robot>", torch), "step": np.radians(options.step),
-        "curves": [way_points("fixed", *curve).tolist() for curve in curves],
+        "urdf": named.path.read_text().replace("</robot>", torch),
+        "base": BASES[name], "tip": ARMS[name], "model": CLOSED.get(name, ""), "joints": list(robot.joint_names),
+        "step": np.radians(options.step) if mode == "free" else None, "curves": [
+            {"poses": way_points("fixed", *curve).tolist(), "zero": start or rest}
+            for curve, start in zip(curves, starts, strict=True)
+        ],
     }  # fmt: skip
     worker = Path(__file__).parent / "peers_workers" / "welds_descartes.py"
     done = subprocess.run(
@@ -298,23 +342,22 @@ def peer(options: argparse.Namespace) -> int:
     rows = []
     for seed, line in enumerate(line for line in done.stdout.splitlines() if line.startswith("{")):
         found = json.loads(line)
-        row = {"robot": "ur5", "mode": "Descartes", "seed": seed, "seconds": found["seconds"], "planned": "q" in found}
+        row: dict[str, Any] = {
+            "robot": robot.name,
+            "mode": mode,
+            "planner": "Descartes",
+            "seed": seed,
+        }
+        row |= {"seconds": found["seconds"], "planned": "q" in found}
         if row["planned"]:
             q = np.array(found["q"])
             step = np.abs(np.diff(q, axis=0)).max(axis=1)
             motion = np.linalg.norm(np.diff(q, axis=0), axis=1)
             row |= {"jumps": int((step > JUMP).sum()), "motion": float(motion[step <= JUMP].sum())}
-            row |= checked("free", robot, way_points("free", *curves[seed]), q)
-        rows += [row, planned("free", robot, seed, options.points)]
-        print(json.dumps(rows[-2:]), flush=True)
-    lines = [
-        "| planner | planned | jumps | joint motion [rad] | CPU time [s] | longest [s] |",
-        "|---|---|---|---|---|---|",
-    ]
-    for mode, words in (("Descartes", f"Descartes, roll in steps of {options.step:g}°"), ("free", "`plan`")):
-        lines.append(f"| {words} | " + summed([row for row in rows if row["mode"] == mode]))
-    shown("descartes", lines, options.write)
-    return 0
+            row |= checked(mode, robot, way_points(mode, *curves[seed]), q, SEARCHED)
+            row["planned"] = row["accepted"]
+        rows.append(row | ({} if row["planned"] else {"message": found["message"]}))
+    return rows
 
 
 def summed(rows: list[dict[str, Any]]) -> str:
@@ -339,12 +382,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
     one = commands.add_parser("plans")
-    one.add_argument("--robots", default=",".join(ARMS))
+    one.add_argument("--robots", default=",".join(PLANNED))
     one.add_argument("--modes", default=",".join(MODES))
     two = commands.add_parser("roll")
     two.add_argument("--robots", default="ur5")
     three = commands.add_parser("descartes")
     three.add_argument("python", help="an interpreter that has tesseract-robotics")
+    three.add_argument("--robots", default=",".join(ARMS))
+    three.add_argument("--modes", default="free,fixed")
     three.add_argument("--step", type=float, default=10.0, help="steps of the roll [degrees]")
     for command, function in ((one, plans), (two, roll), (three, peer)):
         command.add_argument("--count", type=int, default=10)

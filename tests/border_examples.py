@@ -99,7 +99,7 @@ def values():
     found |= {"state": made["controller"].start(0.0, q, dq), "t": 0.1, "threshold": 0.5, "n": 3, "step": 0.001}
     found |= {"r": 1, "tol": 1e-9, "period": 2.0, "duration": 0.02, "path": made["circle"], "length": 0.01}
     found |= {"times": np.array([0.0, 0.5, 1.0]), "influence_distance": 0.1, "radius": 0.05, "names": ["a", "b"]}
-    found |= {"user": "a law without time"}
+    found |= {"user": "a law without time", "change": dq}
     found |= {"centre": [0.0] * 3, "center": [0.0] * 3, "stroke": [0.1, 0.0, 0.0], "start": [0.0] * 3, "share": 0.5}
     found |= {"end": [0.0, 0.0, 1.0], "points": np.eye(3), "poses": [pin.SE3.Identity()] * 3, "shape": coal.Sphere(0.1)}
     found |= {"rotations": [np.eye(3)] * 3, "placement": pin.SE3.Identity(), "spacing": 0.5, "count": 3, "axes": "xy"}
@@ -210,6 +210,7 @@ def special(label):
         "Atlas.follow": {"path": [z]},
         "Atlas.holds": {"chart": made["chart"]},
         "Chart.acceleration": {"task": z, "self_motion": np.zeros(1)},
+        "Chart.acceleration_and_basis": {"task": z, "self_motion": np.zeros(1)},
         "Chart.inverse": {"start": None},
         "Chart.B": {"start": None},
         "OpenLoop": {"tau": lambda t: [0.0] * 3},
@@ -228,6 +229,7 @@ def special(label):
         "Trial.from_settings": {"robot": "ppr"},
         "RobotOptions": {"robot": "ppr"},
         "TaskOptions": {"axes": ""},
+        "TaskOptions.chosen": {"kind": "position"},
         "circle": {"start": [0.0, 0.0, 0.0]},
         "Box": {"size": [1.0, 1.0, 1.0]},
         "Mesh": {"vertices": _corners()},

@@ -1,8 +1,9 @@
 # mypy: disable-error-code="import-not-found,import-untyped"
-"""Descartes on poses of a UR5 with a torch: joints at each, with the roll about the torch's axis in steps.
+"""Descartes on poses of an arm with a torch: joints at each, with the roll about the torch's axis in steps or fixed.
 
-Run by `welds.py descartes` with an interpreter that has tesseract-robotics. Reads from standard input the URDF and the
-curves, lists of flat poses; writes a line of JSON for each: joints, seconds, or the reason why not.
+Run by `welds.py descartes` with an interpreter that has tesseract-robotics. Reads from standard input the URDF, base
+and tip of its arm, and the curves, lists of flat poses, each with the posture where a numerical search begins; writes a
+line of JSON for each: joints, seconds, or the reason why not.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import tesseract_robotics
+from shifted import shifted
 from tesseract_robotics import tesseract_command_language as language
 from tesseract_robotics import tesseract_common as common
 from tesseract_robotics import tesseract_environment as environment
@@ -41,8 +43,8 @@ PLUGINS = """kinematic_plugins:
       plugins:
         Inverse: {{class: {inverse}, config: {{base_link: {base}, tip_link: {tip}{more}}}}}
 """
-#: Base and tip of the UR5's arm.
-ENDS = {"base": "base_link", "tip": "tool0"}
+#: Kinds of inverse kinematics: closed forms of the UR arms, and a numerical search for any other.
+KDL, CLOSED = "KDLInvKinChainLMAFactory", "URInvKinFactory"
 
 
 def libraries(*words: str) -> dict[str, object]:
@@ -51,19 +53,37 @@ def libraries(*words: str) -> dict[str, object]:
     return {"libraries": LIBRARIES, "names": ", ".join(names)}
 
 
-def main() -> None:
-    given = json.load(sys.stdin)
-    urdf = re.sub(r"<(visual|collision|transmission|gazebo)\b.*?</\1>", "", given["urdf"], flags=re.S)
+def world_of(urdf: str, folder: str, base: str, tip: str, inverse: str, model: str = "") -> environment.Environment:
+    """A robot's environment, with inverse kinematics of a kind from base to tip."""
+    urdf = re.sub(r"<(visual|collision|transmission|gazebo)\b.*?</\1>", "", urdf, flags=re.S)
     match = re.search(r'<robot[^>]*name="(.*?)"', urdf)
     assert match
-    with tempfile.TemporaryDirectory() as folder:
-        found = libraries("kinematics_kdl_factories", "kinematics_ur_factory")
-        kinematics = PLUGINS.format(**found, **ENDS, inverse="URInvKinFactory", more=", model: UR5")
-        (Path(folder) / "kinematics.yaml").write_text(kinematics)
-        world = environment.Environment()
-        assert world.init(urdf, SRDF.format(name=match[1], folder=folder, **ENDS), common.GeneralResourceLocator())
-        for poses in given["curves"]:
-            print(json.dumps(solved(world, poses, given["step"])), flush=True)
+    more = f", model: {model}" if model else ""
+    found = libraries("kinematics_kdl_factories", "kinematics_ur_factory")
+    kinematics = PLUGINS.format(**found, base=base, tip=tip, inverse=inverse, more=more)
+    (Path(folder) / "kinematics.yaml").write_text(kinematics)
+    world = environment.Environment()
+    srdf = SRDF.format(name=match[1], folder=folder, base=base, tip=tip)
+    assert world.init(urdf, srdf, common.GeneralResourceLocator())
+    return world
+
+
+def main() -> None:
+    given = json.load(sys.stdin)
+    step, ends = given["step"], (given["base"], given["tip"])
+    for curve in given["curves"]:
+        with tempfile.TemporaryDirectory() as folder:
+            zero = np.zeros(len(given["joints"]))
+            if given["model"]:
+                world = world_of(given["urdf"], folder, *ends, CLOSED, given["model"])
+            else:
+                zero = np.array(curve["zero"])
+                moved = shifted(given["urdf"], dict(zip(given["joints"], curve["zero"], strict=True)))
+                world = world_of(moved, folder, *ends, KDL)
+            found = solved(world, curve["poses"], step, base=given["base"])
+            if "q" in found:
+                found["q"] = (np.array(found["q"]) + zero).tolist()
+            print(json.dumps(found), flush=True)
 
 
 def solved(

@@ -214,7 +214,25 @@ class Directions(Checked):
         Raises:
             ChartError: [G'; Wᵀ] is singular.
         """
-        A, b, lifted = self._system(J, np.concatenate((task, self_motion)))
+        return self._solved(J, np.concatenate((task, self_motion)))
+
+    @checked
+    def acceleration_and_basis(
+        self, J: Jacobian, task: TaskVector, self_motion: SelfMotionVector
+    ) -> tuple[JointVector, Float[Array, "n r"]]:
+        """`acceleration`, and D of Eq. (16), the columns that v may add to it, by one factorization.
+
+        Raises:
+            ChartError: [G'; Wᵀ] is singular.
+        """
+        F = np.eye(self.n, 1 + self.r, 1 - self.m)
+        F[:, 0] = np.concatenate((task, self_motion))
+        found = self._solved(J, F)
+        return found[:, 0], found[:, 1:]
+
+    def _solved(self, J: Jacobian, F: Array) -> Array:
+        """Joint accelerations that `F` commands, a vector or a matrix of columns."""
+        A, b, lifted = self._parts(J, F)
         _, _, x, info = lapack.dgesv(A, b)
         if info:
             raise ChartError(EDGE)
@@ -233,6 +251,10 @@ class Directions(Checked):
         Returns:
             A, b, and V F_v; the last is None where ddq is A⁻¹b. Q is `u_basis`.
         """
+        return self._parts(J, F)
+
+    def _parts(self, J: Jacobian, F: Array) -> tuple[Array, Array, Array | None]:
+        """The same for a vector or a matrix of columns."""
         n, m = self.U.shape
         if n <= DENSE:
             A = self._stacked
@@ -252,3 +274,4 @@ class Directions(Checked):
     _v, _u, _q, _dv, _along = unchecked(v), unchecked(u), unchecked(q), unchecked(dv), unchecked(along)
     _margin, _B = unchecked(margin), unchecked(B)
     _acceleration, _system = unchecked(acceleration), unchecked(system)
+    _acceleration_and_basis = unchecked(acceleration_and_basis)

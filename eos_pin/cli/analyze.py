@@ -58,6 +58,8 @@ def analyze(
         raise InputError("--q0 does not apply: the log has the joints")
     if task.tolerance:
         raise InputError("--tolerance does not apply: every coordinate of the task counts here; leave it out")
+    if task.further != "none":
+        raise InputError("--further does not apply: the joints have moved already; leave it out")
     output.without("seed", reason="nothing is random here")
     if output.view:
         raise InputError("--view does not apply: the run is over; its replay is --html FILE")
@@ -69,10 +71,7 @@ def analyze(
     files = output.within(Path("runs") / f"{log.stem}-analysis", names=names)
     machine = robot.load()
     say_notes(machine)
-    frame = str(machine.options.get("chain_to", ""))
-    goal = make_task(
-        machine, task.task, frame=frame, axes=task.axes, tool_axis=task.tool_axis, point=task.point or None
-    )
+    goal = make_task(machine, task.task, axes=task.axes, **task.chosen(machine, task.task))
     read = read_joint_log(log, machine, joints=joints, degrees=degrees, topic=topic)
     say_notes(read)
     result = analyzed(goal, read.t, read.q, dq=read.dq, period=period, source=str(log))

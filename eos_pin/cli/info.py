@@ -122,7 +122,7 @@ def _find_out(robot: Robot, options: TaskOptions) -> Findings:
     try:
         task, q = options.make(robot, kept=True)
     except InputError as error:
-        named = options.q0 or options.axes or options.point or options.tolerance
+        named = options.q0 or options.axes or options.point or options.tolerance or options.further != "none"
         if named or options.tool_axis != TaskOptions.tool_axis:
             # Asked for in so many words: a mistake in these is one of the caller.
             raise
@@ -155,9 +155,9 @@ def _coupling_sentence(coupling: dict[str, dict[str, float]]) -> str:
 def _advice(robot: RobotOptions, task: TaskOptions, found: Findings) -> list[str]:
     """Advice in a line; none where nothing can be done as asked."""
     words = command_words(robot, task)
-    words += " --path hold" if task.point else ""
     if found.task is None:
         return []
+    words += "" if found.task.lengths else " --path hold"
     if "dynamics" in found.cannot:
         return [f"Try: eos-pin ik {words}"]
     return [f"Try: eos-pin track {words}"]

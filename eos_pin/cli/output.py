@@ -318,6 +318,10 @@ def run_table(summary: Mapping[str, Any]) -> Table:
         apart = summary["joint_distance"]
         text = f"{format_number(apart['max'])} rad or m, at the end {format_number(apart['end'])}"
         table.add_row("joints off the plan, at most", text)
+    if summary["further_task"]:
+        beside = summary["further_task"]
+        what = f"further task, {beside['kind']} of {beside['frame']}: error, {settled}"
+        table.add_row(what, format_number(beside["error_max"]))
     table.add_row("chart switches", str(summary["chart_switches"]))
     if summary["coupling"]:
         text = f"median {summary['coupling']['median']:.2f}, at most {summary['coupling']['max']:.2f}"

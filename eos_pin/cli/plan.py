@@ -24,6 +24,7 @@ from eos_pin.cli.output import (
     stderr,
     title_of,
     write_json,
+    write_outputs,
 )
 from eos_pin.errors import InputError, PlanError
 from eos_pin.experiments.options import RobotOptions, TaskOptions
@@ -243,7 +244,6 @@ def plan(
     from eos_pin.planning.obstacles.scene import read_scene
     from eos_pin.planning.planner import plan as planned
 
-    output.without("rerun", reason="that is for runs; follow the plan by `eos-pin track --plan FILE --rerun FILE`")
     files = output.within(
         None, names={"json": "plan.json", "csv": "joints.csv", "html": "replay.html", "plot": "plan.png"}
     )
@@ -330,32 +330,24 @@ def _deliver(
         written.append(found.to_csv(files.csv, derivatives=False))
     if files.bag is not None:
         written.append(found.to_bag(files.bag))
-    if files.html is not None or files.plot is not None or files.view:
-        written += _draw(found, files, scene, clearances)
-    return written
+    return written + _draw(found, files, scene, clearances)
 
 
 def _draw(found: Plan, files: Output, solids: Scene | None, clearances: Clearances | None) -> list[Path]:
-    """Write the figure and the replay that are asked for."""
-    import numpy as np
-
+    """Write the figure, the replay and the file for Rerun that are asked for."""
     from eos_pin.plots.pages import save
     from eos_pin.plots.plan import picture
     from eos_pin.simulation._recorder import joint_run
     from eos_pin.trajectories.through import sampled
-    from eos_pin.viewer.replay import write_replay
     from eos_pin.viewer.solids import obstacles_of
 
-    written = []
-    if files.plot is not None:
-        written.append(save(picture(found, clearances), files.plot))
-    if files.html is not None or files.view:
-        times = np.linspace(found.start, found.end, min(2000, 4 * len(found.times)))
-        joints = found.joints(times)
-        result = joint_run(found.task, times - found.start, joints, sampled(found.path, times), period=found.period)
+    written = [] if files.plot is None else [save(picture(found, clearances), files.plot)]
+    if files.html is not None or files.rerun is not None or files.view:
+        times, q, dq, ddq = found.table(min(2000, 4 * len(found.times)) / (found.end - found.start))
+        z = sampled(found.path, times)
+        result = joint_run(found.task, times - found.start, q, z, dq=dq, ddq=ddq, period=found.period)
         told: dict[str, Any] = {"obstacles": obstacles_of(solids), "title": f"{found.robot.name}: plan"}
-        if files.html is not None:
-            written.append(write_replay(files.html, result, found.robot, **told))
+        written += write_outputs(Output(html=files.html, rerun=files.rerun), result, found.robot, **told)
         if files.view:
             show({"": result}, {"": found.robot}, **told)
     return written

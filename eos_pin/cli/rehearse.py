@@ -79,7 +79,7 @@ def rehearse(
     from eos_pin.simulation.rehearsal import MujocoConnection
     from eos_pin.trajectories.pace import Clock, PacedPath
 
-    check_options(path, control)
+    check_options(task, path, control)
     if control.command != "torque" and (loop.torque_rate is not None or loop.soft_start != RealTime.soft_start):
         raise InputError("--soft-start and --torque-rate do not apply: no torques are commanded; leave them out")
     if loop.seed and not loop.model_error:
@@ -89,7 +89,8 @@ def rehearse(
     check_writable(*filter(None, (file, loop.json)))
     machine = robot.load()
     say_notes(machine)
-    goal, q = task.make(machine)
+    goal, q = task.make(machine, led=True)
+    further = task.make_further(machine)
     reference = path.make(goal, q)
     say_notes(reference)
     clock: Clock | None = None
@@ -97,10 +98,10 @@ def rehearse(
     if control.command == "torque":
         warn_of_gravity(machine, q)
         clock = Clock(speed=0.0)
-        controller = control.make(goal, PacedPath(reference, clock), q, period)
+        controller = control.make(goal, PacedPath(reference, clock), q, period, further=further)
         driver = ControlLoop(controller, soft_start=loop.soft_start, torque_rate=loop.torque_rate)
     else:
-        driver = commanded_loop(control, goal, reference, q, period=period)
+        driver = commanded_loop(control, goal, reference, q, period=period, further=further)
     e = loop.model_error
     plant = machine.perturbed(mass=e, com=e, inertia=e, seed=loop.seed) if e else machine
     connection = MujocoConnection(MujocoPlant.from_robot(plant), q, command=control.command, control_period=period)

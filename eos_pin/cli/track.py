@@ -71,6 +71,7 @@ def track(
       eos-pin track path/to/robot.urdf --frame tool0 --path circle --size 0.1 --cycles 5
       eos-pin track panda --size 0.3 --path circle --self-motion planned
       eos-pin track panda --plan circle.npz
+      eos-pin track ur5 --task point-axis --further orientation --command position
       eos-pin track ur5 --command position --control-rate 500
       eos-pin track panda --control-rate 1000 --noise 1e-5 --model-error 0.1 --torque-limits
     """
@@ -87,20 +88,20 @@ def track(
         goal, reference, q = motion.task, motion.path, motion.q
     else:
         kept = control.self_motion == "planned" or control.controller in EOS
-        goal, q = task.make(machine, kept=kept)
+        goal, q = task.make(machine, kept=kept, led=True)
         reference = path.make(goal, q)
         if control.self_motion == "planned":
             motion = made_plan(goal, reference, q if task.q0 else None, control, output.seed)
             reference, q = motion.path, motion.q
     say_notes(reference, goal)
-    law = motion.law if motion else None
+    law, further = motion.law if motion else None, task.make_further(machine)
     duration, period = path.length(reference), simulation.control_period
     torque = control.command == "torque"
     if torque:
-        controller = control.make(goal, reference, q, period, law=law)
+        controller = control.make(goal, reference, q, period, law=law, further=further)
         warn_of_gravity(machine, q)
     else:
-        loop = commanded_loop(control, goal, reference, q, period=period, law=law)
+        loop = commanded_loop(control, goal, reference, q, period=period, law=law, further=further)
     name = f"{machine.name}, {task.task}"
     with progress(output, machine, q, duration, name, (goal, reference)) as observer:
         if torque:

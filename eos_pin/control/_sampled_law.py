@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from eos_pin._arrays import JointVector, SelfMotionVector
+from eos_pin._arrays import Jacobian, JointVector, SelfMotionVector, TaskVector
 from eos_pin.charts.chart import Chart
 from eos_pin.robot.model import Robot
 
@@ -24,6 +24,7 @@ class SelfTargets:
         before: Target a period before, by its velocity.
         factors: Both factors of `decay`; None for a law that is an acceleration.
         joints: Whether the targets are joints.
+        beside: Whether the acceleration takes account of how the task moves the robot.
     """
 
     of: Any
@@ -33,10 +34,16 @@ class SelfTargets:
     before: Any = None
     factors: Any = None
     joints: bool = False
+    beside: bool = False
+
+    def placed(self, q: JointVector, u: JointVector, before: Any) -> SelfTargets:
+        """Targets with the state at the step taken into account; arguments as in `acceleration`."""
+        return self
 
     def acceleration(
-        self, t: float, robot: Robot, chart: Chart, q: JointVector, u: JointVector, before: Any
-    ) -> SelfMotionVector:
+        self, t: float, robot: Robot, chart: Chart, q: JointVector, u: JointVector, before: Any,
+        J: Jacobian | None = None, asked: TaskVector | None = None,
+    ) -> SelfMotionVector:  # fmt: skip
         """Commanded acceleration of v over the period.
 
         Args:
@@ -46,9 +53,15 @@ class SelfTargets:
             q: Joints.
             u: Their velocities over the period before.
             before: Target at the step before; None where that was another's.
+            J: Jacobian of the task where the joints would be at the end of the period without it.
+            asked: Task acceleration over the period, without its drift.
         """
         if self.factors is None:
-            found: SelfMotionVector = self.of.acceleration(t, q, u, chart)
+            found: SelfMotionVector = (
+                self.of._acceleration_beside(t, q, u, chart, J, asked)
+                if self.beside
+                else self.of.acceleration(t, q, u, chart)
+            )
             return found
         h, (a1, a2) = self.period, self.factors
         before = self.before if before is None else before
@@ -60,6 +73,10 @@ class SelfTargets:
         v, moved = chart._v(q), h * chart._dv(u)
         left = a1 * (self.now - v) - a2 * (before - v + moved)
         return (self.ahead - left - v - moved) / h**2
+
+    def lacking(self, chart: Chart, J: Jacobian, q: JointVector, left: TaskVector) -> SelfMotionVector:
+        """Self-motion that a further task lacks at joints q, beside the motion that the task lacks; elsewhere none."""
+        return np.zeros(chart.r)
 
 
 def decay(kp: Any, kd: Any, period: float) -> tuple[Any, Any]:

@@ -214,6 +214,18 @@ class SmallestChange:
             self._upper[bounds] = np.maximum(left - rows.dot(change), 0.0)
         return change
 
+    def within(self, J: Jacobian, least: JointVector, most: JointVector) -> JointVector:
+        """Smallest change of an acceleration between bounds, where there are no torques.
+
+        Args:
+            J: Jacobian of the task, and rows of its bands.
+            least: Least change of each joint.
+            most: Largest change.
+        """
+        without = np.full(least.size, FAR)
+        change = self(J, np.eye(least.size), np.concatenate((-without, least)), np.concatenate((without, most)))
+        return np.minimum(np.maximum(change, least), most)
+
     def with_bands(self, J: Jacobian) -> Float[Array, "rows n"]:
         """Rows of the task and of the bands."""
         return np.concatenate((J, self._rows_of_bands))

@@ -107,7 +107,7 @@ def compiled_step(
     box: VelocityBox,
     settings: tuple[float, float, float, float, int],
 ) -> Any:
-    """Compiled step on one chart; None without a compiler, and for tasks that are not made of frames.
+    """Compiled step on one chart; None without a compiler, for tasks not made of frames, and for laws beside them.
 
     Args:
         on: The chart.
@@ -125,6 +125,8 @@ def compiled_step(
     if kernels is None or not own or on.drive._kernel is None:
         return None
     law, held = self_motion.sampled_targets(on.since, settings[0], 0.0, chart.r), self_motion._held_law(chart.r)
+    if law.beside:
+        return None
     return kernels.KinematicStep(
         on.drive._made_from, kinematics._chain, (chart.q_bar, chart._v_zero), chart.task.robot.continuous, TURN,
         atlas.threshold, partial(atlas._serves, chart), factors, held and (held[2], *law.factors), law.of, reference,

@@ -26,6 +26,7 @@ from eos_pin._arrays import (
     vector_of,
 )
 from eos_pin.charts.chart import Chart
+from eos_pin.control.objectives import Further
 from eos_pin.errors import InputError, Renamed
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Point, Task, TaskPoint
@@ -43,6 +44,7 @@ class ControlReport(NamedTuple):
         deficit_from_singularity: Task acceleration given up because the task is nearly singular, (m,); NaN where the
             controller does not measure it.
         deficit_from_limits: Task acceleration given up to limits, (m,); NaN likewise.
+        further: Further task that the self-motion tracks; None where none is.
     """
 
     tau: JointVector
@@ -50,6 +52,7 @@ class ControlReport(NamedTuple):
     dz: TaskVector
     deficit_from_singularity: TaskVector
     deficit_from_limits: TaskVector
+    further: Further | None = None
 
 
 #: Largest relative difference of two control periods that are the same.

@@ -224,7 +224,8 @@ class EosController(TaskController):
             singular = self._task_acceleration(t, point) - J.dot(ddq) - point.drift
         limited = self._rest if change is self._unchanged else -J.dot(change)
         dz = self.task._at(q, dq).dz if self.task.moves else J.dot(dq)
-        return ControlReport(asked if tau is None else tau, self.task._value(q), dz, singular, limited)
+        further = self.self_motion._further(t, q, change)
+        return ControlReport(asked if tau is None else tau, self.task._value(q), dz, singular, limited, further)
 
     def validity(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> float:
         self.task._set_time(t)

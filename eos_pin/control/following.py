@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -29,11 +29,11 @@ from eos_pin._arrays import (
 )
 from eos_pin.charts.chart import Chart
 from eos_pin.control._sampled_law import SelfTargets, decay
-from eos_pin.control.objectives import Damp, Objective
+from eos_pin.control.objectives import Damp, Further, Objective
 from eos_pin.errors import InputError, PlanError
 from eos_pin.planning.plans import Plan
 from eos_pin.robot.model import Robot
-from eos_pin.tasks.base import Task
+from eos_pin.tasks.base import Point, Task
 from eos_pin.trajectories.base import Target, Trajectory
 from eos_pin.trajectories.pace import Clock, PacedJoints, PacedPath
 
@@ -202,7 +202,7 @@ class TrackTask(Objective):
     The further error obeys ε̈ + kd ε̇ + kp ε = 0 in all directions in which the self-motion can move it, whatever the
     task does meanwhile and whichever charts are used: F_v = F_rest + P⁺(F_2 − drift_2 − J_2 ddq), where P = J_2 D and
     ddq is that of the task and of `rest`. In the directions left over the law is `rest`. Where a direction fades, it is
-    given up by degrees. For `EosController` and `LimitedEosController`.
+    given up by degrees. Limits of joints and bands of tolerances come before it: where they take it, runs say so.
 
     The roll of a tool about its axis is tracked by an `OrientationTask` beside a `PointAxisTask`: of the rotation only
     the turn about the axis is free.
@@ -243,21 +243,32 @@ class TrackTask(Objective):
     ) -> SelfMotionVector:
         self.task._set_time(t)
         z, J_2, dz, drift = self.task._at(q, dq)
-        kp, kd = self._gains
-        asked = self.task._tracking_acceleration(z, dz, self.reference(t), kp, kd) - drift
-        rest = self.rest._acceleration_beside(t, q, dq, chart, J, task)
-        still = np.zeros(chart.m)
-        D = np.column_stack([chart.acceleration(J, still, unit) for unit in np.eye(chart.r)])
-        left, sizes, right = np.linalg.svd(J_2.dot(D), full_matrices=False)
-        lacking = left.T.dot(asked - J_2.dot(chart.acceleration(J, task, rest)))
-        return rest + right.T.dot(lacking * sizes / np.maximum(sizes, FADING) ** 2)
+        asked = self.task._tracking_acceleration(z, dz, self.reference(t), *self._gains) - drift
+        return self._beside(chart, J, task, J_2, asked, self.rest._acceleration_beside(t, q, dq, chart, J, task))
 
     _acceleration_beside = unchecked(acceleration_beside)
 
+    def _beside(
+        self, chart: Chart, J: Jacobian, task: TaskVector, J_2: Jacobian, asked: TaskVector, rest: SelfMotionVector
+    ) -> SelfMotionVector:
+        """F_v that moves the further task as asked, its drift left out, beside the task and as far as it allows."""
+        ddq, D = chart._acceleration_and_basis(J, task, rest)
+        left, sizes, right = np.linalg.svd(J_2.dot(D), full_matrices=False)
+        lacking = left.T.dot(asked - J_2.dot(ddq))
+        return rest + right.T.dot(lacking * sizes / np.maximum(sizes, FADING) ** 2)
+
     def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
-        raise InputError(
-            "a loop of commanded motion does not know TrackTask. Use EosController, or a stack of both tasks"
+        at, ahead = self.reference(t), self.reference(t + step)
+        rest = self.rest._sampled_targets(t, period, step, r)
+        before = self.task._plus(at.z, -step * at.dz)
+        factors = decay(*self._gains, period)
+        return FurtherTargets(
+            self, period, (at.z, rest), ahead.z, (before, None), factors, beside=True, rest=rest, t=t, step=step
         )
+
+    def further(self, t: float, q: JointVector, change: JointVector) -> Further:
+        z, J = self.task._set_time(t)._linearize(q)
+        return Further(self.task, self.task._minus(self.reference(t).z, z), -J.dot(change))
 
     def check_start(self, t: float, q: JointVector, chart: Chart) -> None:
         self.rest.check_start(t, q, chart)
@@ -266,6 +277,52 @@ class TrackTask(Objective):
         if self.task.robot.n != n:
             raise InputError(f"the further task is that of a robot with {self.task.robot.n} joints, this one has {n}")
         self.rest._check(n, r)
+
+
+@dataclass(frozen=True, eq=False)
+class FurtherTargets(SelfTargets):
+    """Targets of a `TrackTask` around one step: points of the further task, and the targets of the law beside it.
+
+    Attributes:
+        rest: Targets of the law beside it.
+        t: Time of the path [s].
+        step: Time of the path that goes by in a period [s].
+        goal: Point of the further task at the end of the period; None before it is known.
+    """
+
+    rest: SelfTargets | None = None
+    t: float = 0.0
+    step: float = 0.0
+    goal: Point | None = None
+
+    def placed(self, q: JointVector, u: JointVector, before: Any) -> FurtherTargets:
+        task, (a1, a2) = self.of.task, self.factors
+        z_before = (before or self.before)[0]
+        # Where the task itself moves, each point is that of its time.
+        earlier = task._set_time(self.t - self.step)._value(q - self.period * u)
+        error = a1 * task._minus(task._set_time(self.t)._value(q), self.now[0]) - a2 * task._minus(earlier, z_before)
+        return replace(self, goal=task._plus(self.ahead, error))
+
+    def acceleration(
+        self, t: float, robot: Robot, chart: Chart, q: JointVector, u: JointVector, before: Any,
+        J: Jacobian | None = None, asked: TaskVector | None = None,
+    ) -> SelfMotionVector:  # fmt: skip
+        assert self.rest is not None
+        assert J is not None
+        assert asked is not None
+        last = before and before[1]
+        known = last is not None and last.of is self.rest.of
+        rest = self.rest.acceleration(t, robot, chart, q, u, last.now if known else None, J, asked)
+        return self._led(chart, J, asked, q + self.period * u, rest, self.period**2)
+
+    def lacking(self, chart: Chart, J: Jacobian, q: JointVector, left: TaskVector) -> SelfMotionVector:
+        return self._led(chart, J, left, q, np.zeros(chart.r), 1.0)
+
+    def _led(
+        self, chart: Chart, J: Jacobian, asked: TaskVector, q: JointVector, rest: SelfMotionVector, square: float
+    ) -> SelfMotionVector:
+        z, J_2 = self.of.task._set_time(self.t + self.step)._linearize(q)
+        return self.of._beside(chart, J, asked, J_2, self.of.task._minus(self.goal, z) / square, rest)
 
 
 class SumObjective(Objective):
@@ -284,16 +341,20 @@ class SumObjective(Objective):
     parts = property(lambda self: self._parts, doc="The objectives.")
 
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
-        total = self.parts[0].acceleration(t, q, dq, chart)
-        for part in self.parts[1:]:
-            total = total + part._acceleration(t, q, dq, chart)
-        return total
+        return np.sum([part._acceleration(t, q, dq, chart) for part in self.parts], axis=0)
 
     def acceleration_beside(
         self, t: float, q: JointVector, dq: JointVector, chart: Chart, J: Jacobian, task: TaskVector
     ) -> SelfMotionVector:
-        parts = [part._acceleration_beside(t, q, dq, chart, J, task) for part in self.parts]
-        return np.sum(parts, axis=0)
+        return np.sum([part._acceleration_beside(t, q, dq, chart, J, task) for part in self.parts], axis=0)
+
+    def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
+        beside = any(part._sampled_targets(t, period, step, r).beside for part in self.parts)
+        return SelfTargets(self, period, beside=beside)
+
+    def further(self, t: float, q: JointVector, change: JointVector) -> Further | None:
+        found = (part._further(t, q, change) for part in self.parts)
+        return next((further for further in found if further is not None), None)
 
     def target(self, t: float, r: int) -> Target | None:
         return next((target for part in self.parts if (target := part._target(t, r)) is not None), None)

@@ -47,8 +47,6 @@ SAME_TIME, LATE = 1e-12, 0.01
 PACE_RATE = 20.0
 #: What may be assigned while the loop runs, of which steps are compiled.
 CHANGING = {"kp", "kd", "reference", "self_motion", "limits"}
-#: Bound that counts as none in the quadratic program.
-NONE = 1e30
 
 
 @by_value
@@ -119,7 +117,7 @@ class KinematicLoop:
             raise InputError("the atlas must be made of the loop's own task object: atlas=Atlas(task)")
         self.task, self.robot, self.atlas = task, task.robot, atlas or Atlas(task)
         self._smallest = SmallestChange(task.m, task.robot.n, bands=len(task.bands))
-        self._bands, self._eye = Bands(task) if task.bands else None, np.eye(task.robot.n)
+        self._bands = Bands(task) if task.bands else None
         self.pace: float = 1.0
         self._ahead: tuple[Any, float, Target] | None = None
         self._version = object()
@@ -203,9 +201,15 @@ class KinematicLoop:
         """
         return None if self._state is None else self._state.deficit.copy()
 
+    @property
+    def limit_change(self) -> JointVector:
+        """Change that limits made in the last joint acceleration, (n,) [rad/s² or m/s²]; zero where they made none."""
+        return self._limit_change.copy() if self.limited else np.zeros(self.robot.n)
+
     def reset(self) -> None:
         """Forget the chart and the last command; the next step starts a run at rest."""
         self._state: KinematicState | None = None
+        self._limit_change = np.zeros(self.robot.n)
 
     # -- the loop ----------------------------------------------------------------------------------------------------
 
@@ -308,7 +312,7 @@ class KinematicLoop:
             task._set_time(s + h * pace)
             z_p, J = task._linearize(p)
             goal = task._plus(self._target(s + h * pace).z, error)
-            v_d = self.self_motion._sampled_targets(s, h, h * pace, r)
+            v_d = self.self_motion._sampled_targets(s, h, h * pace, r).placed(q, u, state.v_d)
             return Solved(*self._acceleration(t, state, v_d, J, task._minus(goal, z_p) / h**2), J, goal, v_d)
 
         least, most = self._box(q, u)
@@ -326,8 +330,8 @@ class KinematicLoop:
             J = self._smallest.with_bands(J)
         limited = bool(((a < least) | (a > most)).any())
         if limited:
-            a = a + self._change(J, least - a, most - a)
-        q_next, z = self._solved(on, p, a, J[: task.m], goal, exact=limitless and not limited)
+            a = a + self._smallest.within(J, least - a, most - a)
+        q_next, z = self._solved(on, p, a, J[: task.m], goal, v_d, exact=limitless and not limited)
         u_next = (q_next - q) / h
         within = np.minimum(np.maximum(u_next, u + h * least), u + h * most)
         if not math.isfinite(within.dot(within)):
@@ -338,6 +342,7 @@ class KinematicLoop:
             q_next = q + h * within
             z = task._value(q_next)
         deficit = task._minus(goal, z) / h**2
+        self._limit_change = (q_next - p) / h**2 - found.a if limited else 0.0 * u
         return KinematicState(
             t, q_next, within, state.measured, z, on, deficit, limited, state.lag, state.z, now.z, self.reference,
             v_d.now, v_d.of, pace, behind,
@@ -357,7 +362,7 @@ class KinematicLoop:
     ) -> tuple[JointVector, EosState, bool]:
         """Joint acceleration of the law, the chart it is on from here, and whether no direction fades."""
         q, u, on = state.q, state.dq, state.on
-        F_v = v_d.acceleration(t, self.robot, on.chart, q, u, state.v_d)
+        F_v = v_d.acceleration(t, self.robot, on.chart, q, u, state.v_d, J, asked)
         if (more := on.left(t, u)) is not None:
             F_v = F_v + more
         a, margin = on.drive(J, np.concatenate((asked, F_v)), u)
@@ -369,20 +374,14 @@ class KinematicLoop:
         except SingularError:
             return a, on, margin > 0.0
         # The acceleration is continuous: what the law asks for otherwise on the new chart is forgotten by and by.
-        F_v = v_d.acceleration(t, self.robot, chart, q, u, state.v_d)
+        F_v = v_d.acceleration(t, self.robot, chart, q, u, state.v_d, J, asked)
         carried = chart._dv(a) - F_v
         on = EosState(drive=AccelerationMap(chart), number=on.number + 1, since=t, carried=carried)
         a, margin = on.drive(J, np.concatenate((asked, F_v + carried)), u)
         return a, on, margin > 0.0
 
-    def _change(self, J: Jacobian, least: JointVector, most: JointVector) -> JointVector:
-        """Smallest change of accelerations into their bounds."""
-        without = np.full(least.size, NONE)
-        change = self._smallest(J, self._eye, np.concatenate((-without, least)), np.concatenate((without, most)))
-        return np.minimum(np.maximum(change, least), most)
-
     def _solved(
-        self, on: EosState, p: JointVector, a: JointVector, J: Jacobian, goal: Point, *, exact: bool
+        self, on: EosState, p: JointVector, a: JointVector, J: Jacobian, goal: Point, v_d: SelfTargets, *, exact: bool
     ) -> tuple[JointVector, Point]:
         """Joints at the end of the period and their task point, by Newton's method where the goal is to be met."""
         h2, rest = self._period**2, np.zeros(p.size)
@@ -390,9 +389,10 @@ class KinematicLoop:
         z = self.task._value(q)
         for _ in range(STEPS if exact else 0):
             left = self.task._minus(goal, z)
-            if left.dot(left) <= SOLVED:
+            aside = v_d.lacking(on.chart, J, q, left)
+            if left.dot(left) + aside.dot(aside) <= SOLVED:
                 break
-            more, _ = on.drive(J, np.concatenate((left, rest[left.size :])), rest)
+            more, _ = on.drive(J, np.concatenate((left, aside)), rest)
             q = q + more
             z = self.task._value(q)
         return q, z

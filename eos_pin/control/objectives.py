@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 from weakref import WeakSet
 
 from jaxtyping import Float
@@ -37,6 +37,7 @@ from eos_pin.charts.chart import Chart
 from eos_pin.control._sampled_law import SelfTargets, decay
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
+from eos_pin.tasks.base import Task
 from eos_pin.trajectories.base import Hold, Target, Trajectory
 
 
@@ -46,6 +47,20 @@ class Renewed(Protocol):
 
     def renew(self) -> None:
         """Make them anew at the next torque."""
+
+
+class Further(NamedTuple):
+    """State of a further task that the self-motion tracks.
+
+    Attributes:
+        task: The task.
+        error: Its error, (m₂,) [m, rad].
+        deficit: Acceleration that limits take from it, (m₂,) [m/s², rad/s²].
+    """
+
+    task: Task
+    error: TaskVector
+    deficit: TaskVector
 
 
 class Objective(Checked, ABC):
@@ -126,6 +141,11 @@ class Objective(Checked, ABC):
         return None
 
     @checked
+    def further(self, t: float, q: JointVector, change: JointVector) -> Further | None:
+        """Further task that is tracked, where limits change the joint acceleration by `change`; None where none is."""
+        return None
+
+    @checked
     def check(self, n: int, r: int) -> None:
         """Refuse a robot or a task that it does not fit.
 
@@ -145,6 +165,7 @@ class Objective(Checked, ABC):
     _held_law = unchecked(held_law)
     _sampled_targets = unchecked(sampled_targets)
     _add_user = unchecked(add_user)
+    _further = unchecked(further)
     _check = unchecked(check)
 
 

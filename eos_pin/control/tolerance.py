@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 from eos_pin._arrays import Array, JointVector, SelfMotionVector, VectorLike, checked, gains, number
 from eos_pin.charts.chart import Chart
 from eos_pin.control._sampled_law import SelfTargets
-from eos_pin.control.objectives import Objective
+from eos_pin.control.objectives import Further, Objective
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.base import Task
@@ -109,9 +109,7 @@ class KeepTolerance(Objective):
         point, target = self.task._at(q, dq), self.reference(t)
         F_z = self.task.tracking_acceleration(point.z, point.dz, target, self.kp, self.kd) - point.drift
         asked = self.law._acceleration_beside(t, q, dq, chart, point.J, F_z)
-        ddq = chart.acceleration(point.J, F_z, asked)
-        rest = np.zeros(self.task.m)
-        D = np.column_stack([chart.acceleration(point.J, rest, unit) for unit in np.eye(chart.r)])
+        ddq, D = chart._acceleration_and_basis(point.J, F_z, asked)
         rows, most = self._bands(self.reference, t, q, dq)
         return asked + _smallest(rows.dot(D), most - rows.dot(ddq))
 
@@ -126,6 +124,9 @@ class KeepTolerance(Objective):
 
     def add_user(self, controller: Any) -> None:
         self.law.add_user(controller)
+
+    def further(self, t: float, q: JointVector, change: JointVector) -> Further | None:
+        return self.law._further(t, q, change)
 
     def check_start(self, t: float, q: JointVector, chart: Chart) -> None:
         self.law.check_start(t, q, chart)

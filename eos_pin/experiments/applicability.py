@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 from eos_pin.errors import InputError
 
@@ -25,6 +25,12 @@ class Rule(NamedTuple):
     reason: str
 
 
+TaskKind: TypeAlias = Literal[
+    "position", "pose", "point-axis", "axis", "look-at", "orientation", "heading", "distance", "com", "relative-pose",
+    "joints",
+]  # fmt: skip
+#: Kinds of task that direct an axis of the tool, and that need a point of the world.
+DIRECTED, POINTED = ("axis", "point-axis", "look-at"), ("look-at", "distance")
 EOS = ("eos", "eos-limited")
 DRAWN = ("eight", "circle", "line")
 
@@ -65,7 +71,7 @@ RULES = (
     ),
     Rule(("acceleration",), lambda s: not _is_torque(s), "torques are commanded; add --command position"),
     Rule(
-        ("task", "axes", "tool_axis", "path", "size", "plane", "period", "self_motion", "v", "swing"),
+        ("task", "axes", "tool_axis", "further", "path", "size", "plane", "period", "self_motion", "v", "swing"),
         lambda s: s["plan"] is None,
         "--plan has a task, a path and a self-motion of its own; leave one of them out",
     ),
@@ -99,6 +105,11 @@ RULES = (
         ("kd_self_motion",),
         lambda s: s["self_motion"] in ("hold", "posture", "damp", "planned"),
         "it belongs to --self-motion hold, posture, damp and planned",
+    ),
+    Rule(
+        ("further",),
+        lambda s: s["controller"] in EOS and s["self_motion"] != "planned",
+        "it is done by the self-motion of the controllers eos and eos-limited, where no plan leads that",
     ),
     Rule(("substeps",), _is_sampled, "it belongs to sampled runs; add --control-rate 1000"),
     Rule(("push_time",), lambda s: s["push"] is not None, "there is no push; add --push FX FY FZ"),

@@ -28,6 +28,7 @@ def commanded_loop(
     *,
     period: float | None = None,
     law: Objective | None = None,
+    further: Task | None = None,
 ) -> KinematicLoop:
     """Make a `KinematicLoop` with these options.
 
@@ -38,6 +39,7 @@ def commanded_loop(
         q: Joints at the start.
         period: Control period [s].
         law: Law of the self-motion, where it is made already.
+        further: Further task that it does else; None without one.
 
     Raises:
         InputError: The options do not fit.
@@ -49,7 +51,7 @@ def commanded_loop(
     return KinematicLoop(
         task,
         reference,
-        law or control._law(task, reference, q),
+        law or control._law(task, reference, q, further),
         control_period=period or CONTROL_PERIOD,
         limits=JointLimits.without_torques(task.robot, acceleration=control.acceleration),
         kp=control.kp,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import combinations
-from typing import Literal, TypeAlias, get_args
+from typing import get_args
 
 import numpy as np
 import pinocchio as pin
@@ -16,23 +16,22 @@ from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import SINGULAR_VALUE_FLOOR
 from eos_pin.errors import InputError
+from eos_pin.experiments.applicability import DIRECTED, POINTED, TaskKind
 from eos_pin.experiments.shapes import SHAPES, Shape, drawn, planes, sizes
 from eos_pin.experiments.strength import EASY, gravity_load, slowdown_for_torque
 from eos_pin.robot.loading import default_frame
 from eos_pin.robot.model import Robot
 from eos_pin.tasks.axis import AxisTask, PointAxisTask
 from eos_pin.tasks.base import Task
+from eos_pin.tasks.joints import JointTask
 from eos_pin.tasks.look_at import LookAtTask
 from eos_pin.tasks.orientation import HeadingTask, OrientationTask, PoseTask
 from eos_pin.tasks.position import ComTask, PositionTask
-from eos_pin.tasks.relations import DistanceTask
+from eos_pin.tasks.relations import DistanceTask, RelativePoseTask
 from eos_pin.tasks.stacked import StackedTask
 from eos_pin.trajectories.base import Trajectory
 from eos_pin.trajectories.tolerated import ToleratedPath
 
-TaskKind: TypeAlias = Literal[
-    "position", "pose", "point-axis", "axis", "look-at", "orientation", "heading", "distance", "com"
-]
 TASK_KINDS: tuple[TaskKind, ...] = get_args(TaskKind)
 #: Periods that are tried, the shortest first [s].
 PERIODS = (4.0, 5.0, 6.0, 8.0, 10.0)
@@ -198,7 +197,9 @@ def make_task(
     frame: str = "",
     axes: str = "",
     tool_axis: str = "z",
-    point: VectorLike | None = None,
+    point: VectorLike | Trajectory | None = None,
+    seen_from: str = "",
+    combinations: Sequence[Mapping[str, float]] = (),
 ) -> Task:
     """Task of a kind; missing choices are made to suit the robot.
 
@@ -208,20 +209,26 @@ def make_task(
         frame: Frame that does the task; by default the one `default_frame` names.
         axes: Axes of a position, a centre of mass or a planar pose; by default as many as the joints can move it along.
         tool_axis: Axis of the frame that `axis`, `point-axis` and `look-at` direct, such as `"-z"` or `"0 0 1"`.
-        point: Point of the world that `look-at` looks at, or `distance` counts from [m].
+        point: Point of the world that `look-at` looks at, which may move, or `distance` counts from [m].
+        seen_from: Frame from which `relative-pose` is seen.
+        combinations: Coordinates of `joints`: factors of joints by name.
 
     Raises:
         InputError: The joints cannot move the task in all its directions, in no posture.
     """
     if kind not in TASK_KINDS:
         raise InputError(f"the kind of a task is one of {', '.join(TASK_KINDS)}; got {kind!r}")
-    if tool_axis != "z" and kind not in ("axis", "point-axis", "look-at"):
+    if tool_axis != "z" and kind not in DIRECTED:
         raise InputError(
             f"a tool axis, {tool_axis!r}, does not apply to a task of {kind}: it belongs to axis, point-axis, look-at"
         )
     frame = frame or default_frame(robot)
-    if (point is None) != (kind not in ("look-at", "distance")):
+    if (point is None) != (kind not in POINTED):
         raise InputError(f"a point of the world is for the tasks look-at and distance, which need one; got {kind!r}")
+    if bool(seen_from) != (kind == "relative-pose"):
+        raise InputError(f"a frame from which it is seen is for the task relative-pose, which needs one; got {kind!r}")
+    if bool(combinations) != (kind == "joints"):
+        raise InputError(f"combinations of joints are for the task joints, which needs one or more; got {kind!r}")
     along: Callable[[str], Task] = partial(PositionTask, robot, frame) if kind != "com" else partial(ComTask, robot)
     task: Task
     if kind in ("position", "com"):
@@ -233,8 +240,16 @@ def make_task(
         )
     elif kind in ("axis", "point-axis"):
         task = (AxisTask if kind == "axis" else PointAxisTask)(robot, frame, tool_axis)
+    elif kind == "relative-pose":
+        task = RelativePoseTask(robot, frame, seen_from)
+    elif kind == "joints":
+        task = JointTask(robot, combinations)
+    elif kind == "look-at" and point is not None:
+        task = LookAtTask(robot, frame, point, tool_axis)
+    elif isinstance(point, Trajectory):
+        raise InputError("a distance is counted from a point at rest; give three numbers, or choose look-at")
     elif point is not None:
-        task = LookAtTask(robot, frame, point, tool_axis) if kind == "look-at" else DistanceTask(robot, frame, point)
+        task = DistanceTask(robot, frame, point)
     elif kind == "orientation":
         task = OrientationTask(robot, frame)
     elif kind == "heading":

@@ -51,6 +51,7 @@ class RobotOptions:
         lock: Names of further joints to lock, where they are nearest to 0, or at a position, such as elbow=0.2.
         package_dirs: Folders in which `package://` meshes are looked for.
         gravity: Acceleration of gravity [m/s²], such as 0 -9.81 0 for a planar robot that stands upright.
+        seen_from: Frame from which relative-pose is seen, such as the other hand; joints between base and it stay, too.
         tool: Offset of a tool frame from the frame [m]; the tool then does the task.
         payload: Mass carried at the frame [kg].
     """
@@ -60,6 +61,7 @@ class RobotOptions:
     lock: tuple[str, ...] = ()
     package_dirs: tuple[Path, ...] = ()
     gravity: tuple[float, float, float] | None = None
+    seen_from: str = ""
     tool: tuple[float, float, float] | None = None
     payload: float = 0.0
 
@@ -67,18 +69,15 @@ class RobotOptions:
         """Load the chain from the base to the frame."""
         from eos_pin.robot.loading import Payload, Tool, load_robot
 
-        options: dict[str, Any] = {
-            "lock": by_name(self.lock, "--lock"),
-            "package_dirs": self.package_dirs,
-            "gravity": self.gravity,
-        }
+        options: dict[str, Any] = {"lock": by_name(self.lock, "--lock"), "package_dirs": self.package_dirs}
+        options |= {"gravity": self.gravity, "branch_to": self.seen_from}
         robot = load_robot(self.robot, chain_to=self.frame or "auto", **options)
         frame = robot.options["chain_to"]
         if self.tool is None and not self.payload:
             return robot
         tool = Tool(frame, self.tool) if self.tool is not None else None
-        payload = Payload(self.payload, frame) if self.payload else None
-        return load_robot(self.robot, chain_to=tool.name if tool else frame, tool=tool, payload=payload, **options)
+        options["payload"] = Payload(self.payload, frame) if self.payload else None
+        return load_robot(self.robot, chain_to=tool.name if tool else frame, tool=tool, **options)
 
 
 @checked
@@ -190,10 +189,11 @@ class ControlOptions:
         period: float | None,
         *,
         law: Objective | None = None,
+        further: Task | None = None,
     ) -> Controller:
         """The controller, for a run with a control period [s], or None for a continuous one.
 
-        `law` is that of the self-motion, where it is made already.
+        `law` is that of the self-motion, where it is made already; else it does the task `further`.
         """
         from eos_pin.charts.atlas import Atlas
         from eos_pin.control.eos import EosController
@@ -212,7 +212,7 @@ class ControlOptions:
         if self.controller == "impedance":
             return soft_controller(self, task, reference, atlas)
         if law is None:
-            law = self._law(task, reference, q)
+            law = self._law(task, reference, q, further)
             # The other one keeps bands by itself.
             if task.bands and self.controller == "eos":
                 law = KeepTolerance(law, task, reference, kp=self.kp, kd=self.kd)
@@ -222,18 +222,21 @@ class ControlOptions:
             raise InputError("a controller that keeps limits needs a sampled run; add --control-rate 1000")
         return LimitedEosController(task, reference, law, control_period=period, kp=self.kp, kd=self.kd, atlas=atlas)
 
-    def _law(self, task: Task, reference: Trajectory, q: JointVector) -> Objective:
+    def _law(self, task: Task, reference: Trajectory, q: JointVector, further: Task | None = None) -> Objective:
+        from eos_pin.control.following import TrackTask
         from eos_pin.control.objectives import Damp, Posture, ReduceKineticEnergy, Track
         from eos_pin.trajectories.harmonic import Harmonic
 
         gains = {"kp": self.kp_self_motion, "kd": self.kd_self_motion}
         r = task.robot.n - task.m
+        if further is not None and r:
+            return TrackTask(further, further.aim(q), rest=self._law(task, reference, q), **gains)
         named = ("v", "swing", "self_motion", "kp_self_motion", "kd_self_motion", "chart_margin", "metric")
-        if not r and any(getattr(self, name) != getattr(ControlOptions, name) for name in named):
+        if not r and (further or any(getattr(self, name) != getattr(ControlOptions, name) for name in named)):
             options = ", ".join("--" + name.replace("_", "-") for name in named)
             raise InputError(
                 "there is no self-motion to command: the task takes all joints (r = 0). Leave out "
-                f"{options}, count fewer axes, or choose a task with fewer coordinates"
+                f"--further, {options}, count fewer axes, or choose a task with fewer coordinates"
             )
         if self.self_motion == "planned":
             raise InputError(

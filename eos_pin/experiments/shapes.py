@@ -42,11 +42,12 @@ def drawn(
     center = z[:k]
     axes = "".join("xyz"[i] for i in range(k))
     # Plane and axes are named by the task's labels; the shapes count them from the first.
-    unknown = [axis for axis in plane if axis not in free]
-    if unknown or len(plane) != (1 if shape == "line" or k == 1 else 2) or len(set(plane)) != len(plane):
+    chosen = [plane] if plane in free else list(plane)
+    unknown = [axis for axis in chosen if axis not in free]
+    if unknown or len(chosen) != (1 if shape == "line" or k == 1 else 2) or len(set(chosen)) != len(chosen):
         wanted = "one of the axes" if shape == "line" or k == 1 else "two of the axes"
         raise InputError(f"a {shape} of this task lies along {wanted} {', '.join(free)}; got {plane!r}")
-    named = "".join(axes[list(free).index(axis)] for axis in plane)
+    named = "".join(axes[list(free).index(axis)] for axis in chosen)
     path: Harmonic
     if shape == "line" or k == 1:
         path = line(center, size * np.eye(k)["xyz".index(named)], period=period)

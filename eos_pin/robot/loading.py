@@ -119,6 +119,7 @@ def load_robot(
     *,
     lock: Lock = (),
     chain_to: str = "",
+    branch_to: str = "",
     package_dirs: Sequence[str | Path] = (),
     tool: Tool | Mapping[str, Any] | None = None,
     payload: Payload | Mapping[str, Any] | None = None,
@@ -135,6 +136,7 @@ def load_robot(
             positions [rad or m] or None.
         chain_to: Frame to which the joints from the base are kept. All others are locked, and what they carry
             stays as a rigid part. `"auto"` takes `default_frame`.
+        branch_to: Frame to which they are kept as well, such as the other hand of a robot with two arms.
         package_dirs: Folders in which to look for meshes first.
         tool: Frame to add.
         payload: Body to add.
@@ -149,7 +151,9 @@ def load_robot(
     folders = [Path(os.path.abspath(folder)) for folder in package_dirs]
     # A chain may end at the tool, which is not there yet.
     end = tool.frame if tool is not None and chain_to == tool.name else ""
-    read = (_read_mjcf if _is_mjcf(source) else _read_urdf)(source, lock, chain_to, end or chain_to, folders)
+    if branch_to and not chain_to:
+        raise InputError(f"branch_to={branch_to!r} does not apply: all joints are kept; give chain_to, too")
+    read = (_read_mjcf if _is_mjcf(source) else _read_urdf)(source, lock, chain_to, end or chain_to, folders, branch_to)
     if tool is not None:
         _add_frame(read.model, tool.name, tool.frame, pin.SE3(np.asarray(tool.placement)), pin.Inertia.Zero())
     if payload is not None:
@@ -159,6 +163,7 @@ def load_robot(
         if isinstance(lock, Mapping)
         else _names(lock),
         "chain_to": read.chain_to,
+        "branch_to": branch_to,
         "package_dirs": [str(folder) for folder in folders],
         "tool": tool and tool.as_dict(),
         "payload": payload and payload.as_dict(),
@@ -204,14 +209,14 @@ class _Description(NamedTuple):
     shapes: Shapes | None
 
 
-def _read_urdf(source: Source, lock: Lock, chain_to: str, end: str, folders: list[Path]) -> _Description:
-    """Description by a URDF, of the joints that are not locked and are on the way to `end`."""
+def _read_urdf(source: Source, lock: Lock, chain_to: str, end: str, folders: list[Path], branch: str) -> _Description:
+    """Description by a URDF, of the joints that are not locked and are on the way to `end` or `branch`."""
     urdf, canonical = _read(source)
     urdf = without_planar(urdf, lock if isinstance(lock, Mapping) else _names(lock))
     mimics = {joint.name: joint.mimics for joint in urdf.joints.values() if joint.mimics}
     if chain_to == "auto":
         chain_to = end = default_frame_of(_build(urdf, urdf.rewritten({})), mimics)
-    locked = _locked(urdf, lock, end)
+    locked = _locked(urdf, lock, *filter(None, (end, branch)))
     notes = urdf.notes + _check_joints(urdf, locked, is_chain=bool(chain_to))
     # Off a chain, joints that should follow others move on their own.
     followers = followers_in(urdf.joints, [name for name in urdf.moving if name not in locked]) if chain_to else {}
@@ -226,8 +231,9 @@ def _is_mjcf(source: Source) -> bool:
     return isinstance(source, (str, os.PathLike)) and str(source).endswith(".xml") and is_mjcf(Path(source))
 
 
-def _read_mjcf(source: Source, lock: Lock, chain_to: str, end: str, folders: list[Path]) -> _Description:
+def _read_mjcf(source: Source, lock: Lock, chain_to: str, end: str, folders: list[Path], branch: str) -> _Description:
     """Description by an MJCF file, likewise."""
+    refuse_unused(load_robot, "an MJCF file is read to one frame; lock joints by name instead", branch_to=branch)
     path = Path(os.path.abspath(os.path.expanduser(str(source))))
     reason = "meshes of an MJCF file are not read; leave it out"
     refuse_unused(load_robot, reason, package_dirs=tuple(map(str, folders)))
@@ -284,12 +290,12 @@ def _names(lock: str | Sequence[str]) -> list[str]:
     return names
 
 
-def _locked(urdf: Urdf, lock: Lock, frame: str) -> dict[str, float]:
-    """Position of every joint held fixed: by `lock`, by its limits, or because it is not on the way to `frame`."""
+def _locked(urdf: Urdf, lock: Lock, *frames: str) -> dict[str, float]:
+    """Position of every joint held fixed: by `lock`, by its limits, or because it is on no way to `frames`."""
     given = dict(lock) if isinstance(lock, Mapping) else dict.fromkeys(_names(lock))
-    chain = urdf.chain(frame) if frame else urdf.moving
+    chain = [name for frame in frames for name in urdf.chain(frame)] if frames else urdf.moving
     kept = {name for name in chain if not urdf.joints[name].stuck}
-    followers = followers_in(urdf.joints, kept.difference(given)) if frame else {}
+    followers = followers_in(urdf.joints, kept.difference(given)) if frames else {}
     kept |= {follower.leader for follower in followers.values() if urdf.joints[follower.leader].kind != "fixed"}
     locked = {name: _position(urdf, name, given.get(name)) for name in (*given, *set(urdf.moving).difference(kept))}
     for name, (leader, factor, offset) in followers.items():

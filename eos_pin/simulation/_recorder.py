@@ -23,9 +23,10 @@ from eos_pin._arrays import (
 )
 from eos_pin.charts.chart import Chart
 from eos_pin.charts.dynamics import couplings
-from eos_pin.control.base import Controller
+from eos_pin.control.objectives import Further
 from eos_pin.errors import ChartError, EosError, FunctionError, InputError, SingularError, take
 from eos_pin.robot.model import Robot
+from eos_pin.simulation._shortcomings import not_measured, with_shortcomings
 from eos_pin.simulation._storage import provenance
 from eos_pin.simulation._systems import System
 from eos_pin.simulation.limit_use import limits_of
@@ -36,8 +37,6 @@ from eos_pin.trajectories.base import Trajectory
 _TASK_COLUMNS = ("z", "dz", "z_ref", "error", "task_force", "task_deficit", "deficit_from_limits")
 #: Samples of a run, and joints in all samples together, that are kept at most.
 MOST_SAMPLES, MOST_JOINT_SAMPLES = 1_000_000, 20_000_000
-#: A run that ends with joints this far from those they were to follow has not followed them [rad or m].
-ELSEWHERE = 1e-2
 #: Called with time and joints of every sample of a run: a progress bar, a live view.
 Observer: TypeAlias = Callable[[float, JointVector], None]
 
@@ -63,6 +62,8 @@ class _Row(NamedTuple):
     chart: Chart | None
     #: z, dz, and the deficits that the controller reports.
     task: tuple[Array, Array, Array, Array]
+    #: Further task that the self-motion tracks; None without.
+    further: Further | None
 
 
 class Recorder:
@@ -101,7 +102,9 @@ class Recorder:
         report = system.controller._evaluate(t, q, dq, system.state, tau)
         tau = report.tau
         ddq, _ = system.accelerate(t, q, dq, tau)
-        self._rows.append(_Row(t, q, dq, ddq, np.array(tau), x[-1], system.state, system.recorded_chart, report[1:]))
+        self._rows.append(
+            _Row(t, q, dq, ddq, np.array(tau), x[-1], system.state, system.recorded_chart, report[1:5], report.further)
+        )
         if self.observer is not None:
             called("the observer", self.observer, t, q)
 
@@ -154,11 +157,9 @@ class Recorder:
             **names_of(task),
         )
         apart = controller.joint_distances(run.t, run.q)
-        if not run.ok:
-            run = with_shortcomings(run, "", apart)
-            return replace(run, message=run.message or _not_measured(controller))
-        judged = with_shortcomings(run, controller._broken_limits(run.t, run.q, run.dq, run.tau), apart)
-        return replace(judged, message=judged.message or _not_measured(controller))
+        passed = controller._broken_limits(run.t, run.q, run.dq, run.tau) if run.ok else ""
+        judged = with_shortcomings(run, passed, apart, [row.further for row in self._rows])
+        return replace(judged, message=judged.message or not_measured(controller))
 
     def _self_motion(self) -> dict[str, Any]:
         """Number of the chart and self-motion of each sample."""
@@ -195,55 +196,6 @@ class Recorder:
             error = np.array(list(map(task._minus, z_ref, z)))
         forces = np.array([force.force(row.t) for row in rows], dtype=float) if force else np.zeros_like(dz)
         return dict(zip(_TASK_COLUMNS, (z, dz, z_ref, error, forces, singular + limited, limited), strict=True))
-
-
-def with_shortcomings(run: Result, passed: str, apart: Array | None) -> Result:
-    """The run with its shortcomings: part of the task given up, limits passed, joints elsewhere.
-
-    Args:
-        run: The run.
-        passed: Which limits were passed, in words; empty where none were.
-        apart: Distances of the joints from those to follow, at every sample; None where none are followed.
-    """
-    if apart is not None:
-        joint_distance = {"max": float(apart.max()), "end": float(apart[-1])}
-        run = replace(run, info={**run.info, "joint_distance": joint_distance})
-    if not run.ok:
-        return run
-    lost = run.deficit_rows
-    why = {"task": "near a singularity of the task", "limit": "to keep the limits"}
-    when = "; ".join(
-        f"{why[kind]} for {met['seconds']:.3g} s, first at t = {met['first']:.4g} s"
-        for kind, met in run.singularities.items()
-        if kind in why
-    )
-    elsewhere = _elsewhere(apart)
-    messages = [passed] * bool(passed) + [f"part of the task was given up {when}"] * bool(lost.any())
-    messages += [elsewhere] * bool(elsewhere)
-    # While the controller settles that is to be expected; later the run has not done what it was to do.
-    degraded = passed or elsewhere or lost[run.settled_row :].any()
-    return replace(run, status="degraded" if degraded else run.status, message=". Also, ".join(messages) or run.message)
-
-
-def _elsewhere(apart: Array | None) -> str:
-    """Message about joints far from the planned ones at the end of a run; empty if they are near."""
-    if apart is None or apart[-1] <= ELSEWHERE:
-        return ""
-    return (
-        f"the joints ended {apart[-1]:.3g} rad or m away from those they were to follow, whatever the task did: they "
-        "are on another component of the self-motion, still on their way back, or too slow"
-    )
-
-
-def _not_measured(controller: Controller) -> str:
-    """Sentence about figures that a run lacks because its controller has set no task or no reference."""
-    missing = controller.unset
-    if not missing:
-        return ""
-    return (
-        f"no task error is known: {type(controller).__name__} has no attribute {' and no '.join(missing)}. Set "
-        f"{' and '.join(missing)} in its constructor, to None where there is none"
-    )
 
 
 def _ending(ending: BaseException, t: float) -> tuple[str, str]:

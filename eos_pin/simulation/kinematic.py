@@ -14,10 +14,11 @@ from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.charts.dynamics import couplings
 from eos_pin.control.kinematic import KinematicLoop
-from eos_pin.control.objectives import Objective
+from eos_pin.control.objectives import Further, Objective
 from eos_pin.errors import EosError, InputError, SingularError
 from eos_pin.robot.postures import JointsLike
-from eos_pin.simulation._recorder import Observer, check_run, joint_run, sample_times, with_shortcomings
+from eos_pin.simulation._recorder import Observer, check_run, joint_run, sample_times
+from eos_pin.simulation._shortcomings import with_shortcomings
 from eos_pin.simulation.continuous import MOST_PERIODS
 from eos_pin.simulation.result import Result
 from eos_pin.tasks.base import Task
@@ -69,7 +70,7 @@ def simulate_kinematic(
     check_run(robot.n, len(times), float(times[-1]), path)
     loop.reset()
     rows: list[tuple[float, JointVector, JointVector, JointVector]] = []
-    lost, charts, status, message, at = [], list[Chart](), "finished", "", 0
+    lost, charts, further, status, message, at = [], list[Chart](), list[Further | None](), "finished", "", 0
     clock, wall = time.process_time(), time.perf_counter()
     dq = rest
     try:
@@ -86,6 +87,7 @@ def simulate_kinematic(
                 rows.append((now, there, command.dq if now > k * h else dq, change))
                 lost.append((deficit, deficit if loop.limited else 0.0 * deficit))
                 charts.append(chart)
+                further.append(loop.self_motion._further(now, there, loop.limit_change))
                 at += 1
                 if observer is not None:
                     observer(now, there)
@@ -112,7 +114,7 @@ def simulate_kinematic(
             "cpu_seconds": time.process_time() - clock, "wall_seconds": time.perf_counter() - wall,
         },
     )  # fmt: skip
-    return with_shortcomings(run, "", loop.self_motion.joint_distances(run.t, run.q, robot))
+    return with_shortcomings(run, "", loop.self_motion.joint_distances(run.t, run.q, robot), further)
 
 
 def _self_motion(

@@ -20,6 +20,7 @@ from eos_pin import (
     FollowJoints,
     FollowPlan,
     JointLimits,
+    KinematicLoop,
     LimitedEosController,
     MujocoPlant,
     OrientationTask,
@@ -38,8 +39,10 @@ from eos_pin import (
     load_robot,
     plan,
     simulate,
+    simulate_kinematic,
     simulate_sampled,
 )
+from eos_pin.control._sampled_law import decay
 from eos_pin.control.joining import distances
 from eos_pin.errors import InputError, PlanError
 from eos_pin.tasks.batch import Manifold
@@ -304,22 +307,68 @@ class Turning(Trajectory):
         return Target((self.R @ pin.exp3(turn[0] * self.axis)).ravel(), turn[1] * world, turn[2] * world)
 
 
-def test_roll_obeys_its_law_through_changes_of_charts():
+def rolling():
+    """A torch whose axis is directed, and a roll by a whole turn from 0.3 rad beside."""
     torch = Tool(
         "tool0", pin.SE3(pin.exp3(np.array([0.0, np.radians(35.0), 0.0])), np.array([0.08, 0.0, 0.15])), "torch"
     )
     ur5 = load_robot("ur5", chain_to="torch", tool=torch)
     task, turn = PointAxisTask(ur5, "torch"), OrientationTask(ur5, "torch")
-    q = np.array([0.3, -1.2, 1.4, -0.8, -1.3, 0.2])
-    z_axis, R, beside = np.array([0.0, 0.0, 1.0]), turn.value(q).reshape(3, 3), 0.3
+    q, beside = np.array([0.3, -1.2, 1.4, -0.8, -1.3, 0.2]), 0.3
+    z_axis, R = np.array([0.0, 0.0, 1.0]), turn.value(q).reshape(3, 3)
     path = Turning(R @ pin.exp3(-beside * z_axis), z_axis, 2.0 * np.pi, 3.0)
+    return task, turn, q, beside, R @ z_axis, path
+
+
+def test_roll_obeys_its_law_through_changes_of_charts():
+    task, turn, q, beside, axis, path = rolling()
     controller = EosController(task, task.hold(q), TrackTask(turn, path), atlas=Atlas(task, threshold=0.9))
-    run = simulate(ur5, controller, q, duration=3.0, rtol=1e-9, atol=1e-11, record_rate=20.0)
+    run = simulate(task.robot, controller, q, duration=3.0, rtol=1e-9, atol=1e-11, record_rate=20.0)
     assert run.ok
     assert len(run.switches) >= 2
     assert np.abs(run.error).max() < 1e-8
-    found = [turn.minus(turn.value(row), path(t).z) @ (R @ z_axis) for t, row in zip(run.t, run.q, strict=True)]
+    found = [turn.minus(turn.value(row), path(t).z) @ axis for t, row in zip(run.t, run.q, strict=True)]
     np.testing.assert_allclose(found, beside * (1.0 + 10.0 * run.t) * np.exp(-10.0 * run.t), rtol=0.0, atol=1e-7)
+
+
+def test_kinematic_loop_rolls_by_a_law_of_its_own_through_changes_of_charts():
+    task, turn, q, beside, axis, path = rolling()
+    quick = JointLimits.without_torques(task.robot, velocity=99.0, acceleration=1e3)
+    period, rest = 0.006, task.hold(q)
+    loop = KinematicLoop(
+        task, rest, TrackTask(turn, path), control_period=period, limits=quick, atlas=Atlas(task, threshold=0.9)
+    )
+    joints, charts, before, now = q, set(), beside, beside
+    a1, a2 = decay(100.0, 20.0, period)
+    for k in range(500):
+        joints = loop.step(k * period, joints).q
+        charts.add(loop.chart)
+        before, now = now, a1 * now - a2 * before
+        t = (k + 1) * period
+        assert abs(turn.minus(turn.value(joints), path(t).z) @ axis - now) < 1e-10
+        assert np.abs(task.minus(task.value(joints), rest.z)).max() < 1e-10
+    assert len(charts) > 2
+
+
+@pytest.mark.parametrize("law", [lambda law: law, lambda law: SumObjective([law, Damp(0.0)])])
+def test_limits_that_take_a_further_task_are_named(law):
+    task, turn, q, _, _, path = rolling()
+    slow = {"velocity": 0.6, "acceleration": 20.0}
+    law = law(TrackTask(turn, path))
+    loop = KinematicLoop(
+        task, task.hold(q), law, control_period=0.01, limits=JointLimits.without_torques(task.robot, **slow)
+    )
+    torques = LimitedEosController(
+        task, task.hold(q), law, control_period=0.01, limits=JointLimits.from_robot(task.robot, **slow)
+    )
+    for run in (
+        simulate_kinematic(loop, q, duration=1.5),
+        simulate_sampled(task.robot, torques, q, duration=1.5, control_period=0.01),
+    ):
+        assert run.status == "degraded"
+        assert "part of the further task, orientation of torch, was given up to keep the limits" in run.message
+        assert run.summary()["further_task"]["given_up_seconds"] > 0.5
+        assert run.summary()["further_task"]["error_end"] > 0.1
 
 
 def test_further_task_has_the_acceleration_asked_of_it_as_far_as_the_task_allows(panda):

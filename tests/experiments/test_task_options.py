@@ -6,8 +6,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from eos_pin import DistanceTask, InputError, LookAtTask, Plan, PointAxisTask, ToleranceTask, make_task, plan
-from eos_pin.experiments.options import PathOptions, TaskOptions
+from eos_pin import (
+    DistanceTask,
+    InputError,
+    LookAtTask,
+    Plan,
+    PointAxisTask,
+    ToleranceTask,
+    load_robot,
+    make_task,
+    plan,
+)
+from eos_pin.experiments.options import PathOptions, RobotOptions, TaskOptions
 from eos_pin.experiments.path_files import path_from_csv
 from eos_pin.trajectories.through import read_path
 
@@ -70,3 +80,49 @@ def test_directions_of_a_file_are_those_of_its_columns_or_poses(ur5, tmp_path):
     named.write_text("ax,ay,az\n0,0,1\n0,0,0\n")
     with pytest.raises(InputError, match="line 3: the direction ax, ay, az is zero"):
         read_path(named, task, z)
+
+
+def test_point_that_moves_and_further_task_are_made_from_words(panda, tmp_path):
+    rows = "0 1 0 0.3; 1 1 0.2 0.3; 2 1 0 0.3"
+    (tmp_path / "point.csv").write_text("t,x,y,z\n" + rows.replace(" ; ", "\n").replace("; ", "\n").replace(" ", ","))
+    made = [TaskOptions("look-at", point=(text,)).make(panda, led=True) for text in (rows, str(tmp_path / "point.csv"))]
+    for task, _ in made:
+        assert task.moves
+        np.testing.assert_allclose(task.centre(1.0).z, [1.0, 0.2, 0.3], atol=1e-12)
+        np.testing.assert_allclose(task.centre(3.0).z, [1.0, 0.2, 0.3], atol=1e-12)
+    # Point and axis are those of the task that needs them.
+    options = TaskOptions("position", point=(1.0, 0.0, 0.3), tool_axis="x", further="look-at")
+    task, _ = options.make(panda, led=True)
+    further = options.make_further(panda)
+    assert isinstance(further, LookAtTask)
+    np.testing.assert_allclose(further.aim().z, [1.0, 0.0, 0.0])
+    assert TaskOptions().make_further(panda) is None
+    for words, options in (
+        ("leave out --further", {"further": "axis"}),
+        ("a .csv file", {"task": "look-at", "point": ("a",)}),
+        ("each row of --point", {"task": "look-at", "point": ("0 1 2; 1 2 3",)}),
+        ("a point at rest", {"task": "distance", "point": (rows,)}),
+    ):
+        with pytest.raises(InputError, match=words):
+            TaskOptions(**options).make(panda, led="further" not in options)
+
+
+def test_two_hands_and_combined_joints_are_tasks_of_options():
+    robot = RobotOptions("baxter", frame="left_gripper", seen_from="right_gripper").load()
+    assert robot.n == 14
+    assert robot.options["branch_to"] == "right_gripper"
+    task, q = TaskOptions("relative-pose").make(robot)
+    left, right = (robot.placement(q, f"{side}_gripper") for side in ("left", "right"))
+    np.testing.assert_allclose(task.value(q)[:3], right.actInv(left).translation, atol=1e-12)
+    joints, q = TaskOptions("joints", combine=("left_s0=1,right_s0=-0.5",)).make(robot)
+    np.testing.assert_allclose(joints.value(q), [q[0] - 0.5 * q[7]], atol=1e-12)
+    for words, options in (
+        ("relative-pose, which needs one", {"task": "relative-pose"}),
+        ("task joints, which needs", {"task": "joints"}),
+        ("factors of joints by name", {"task": "joints", "combine": ("a",)}),
+        ("task joints, which needs", {"combine": ("left_s0=1",)}),
+    ):
+        with pytest.raises(InputError, match=words):
+            TaskOptions(**options).make(load_robot("ur5", chain_to="tool0"))
+    with pytest.raises(InputError, match="give chain_to, too"):
+        load_robot("baxter", branch_to="right_gripper")

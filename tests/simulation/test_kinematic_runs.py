@@ -178,13 +178,19 @@ def test_wrong_arguments_are_refused(ur5):
 
 @pytest.mark.usefixtures("quick_pictures")
 def test_track_commands_positions(tmp_path, capsys):
-    words = "track ur5 --command position --control-rate 250 --period 2 --cycles 3 --acceleration 20"
+    words = (
+        "track ur5 --task point-axis --further orientation --command position --control-rate 250 --period 4 --cycles 3"
+    )
+    words += " --cycles 2 --acceleration 20"
     files = f"--json {tmp_path}/a.json --csv {tmp_path}/a.csv --html {tmp_path}/a.html --plot {tmp_path}/a.png"
     assert main([*words.split(), "--out", str(tmp_path), *files.split()]) == 0
     assert "torque" not in capsys.readouterr().out
     figures = json.loads((tmp_path / "a.json").read_text())
     assert figures["joint_drift_per_cycle"][-1] < 1e-7
     assert figures["torque_max"] is None
+    # The roll of the tool rests, though the task leaves it free.
+    assert figures["further_task"]["kind"] == "orientation"
+    assert figures["further_task"]["error_max"] < 1e-9
     run = Result.load(tmp_path / "run.npz")
     assert run.info["arguments"]["acceleration"] == [20.0] * 6
     assert {path.name for path in tmp_path.iterdir()} == {"a.json", "a.csv", "a.html", "a.png", "run.npz"}

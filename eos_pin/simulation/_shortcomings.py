@@ -1,0 +1,97 @@
+"""Shortcomings of a run that ended: parts of tasks given up, limits passed, joints elsewhere, figures not known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from eos_pin._arrays import Array
+from eos_pin.control.base import Controller
+from eos_pin.control.objectives import Further
+from eos_pin.simulation.result import TASK_DEFICIT, Result
+
+#: A run that ends with joints this far from those they were to follow has not followed them [rad or m].
+ELSEWHERE = 1e-2
+
+
+def with_shortcomings(
+    run: Result, passed: str, apart: Array | None, further: Sequence[Further | None] = (None,)
+) -> Result:
+    """The run with its shortcomings: part of a task given up, limits passed, joints elsewhere.
+
+    Args:
+        run: The run.
+        passed: Which limits were passed, in words; empty where none were.
+        apart: Distances of the joints from those to follow, at every sample; None where none are followed.
+        further: Further task at every sample; None where none is tracked.
+    """
+    if apart is not None:
+        joint_distance = {"max": float(apart.max()), "end": float(apart[-1])}
+        run = replace(run, info={**run.info, "joint_distance": joint_distance})
+    beside = _beside(run, further)
+    if beside:
+        run = replace(run, info={**run.info, "further_task": beside})
+    if not run.ok:
+        return run
+    lost = run.deficit_rows
+    why = {"task": "near a singularity of the task", "limit": "to keep the limits"}
+    when = "; ".join(
+        f"{why[kind]} for {met['seconds']:.3g} s, first at t = {met['first']:.4g} s"
+        for kind, met in run.singularities.items()
+        if kind in why
+    )
+    elsewhere, yielded = _elsewhere(apart), bool(beside and beside["given_up_seconds"])
+    messages = [passed] * bool(passed) + [f"part of the task was given up {when}"] * bool(lost.any())
+    if yielded:
+        messages.append(
+            f"part of the further task, {beside['kind']} of {beside['frame']}, was given up to keep the limits for "
+            f"{beside['given_up_seconds']:.3g} s, first at t = {beside['first']:.4g} s"
+        )
+    messages += [elsewhere] * bool(elsewhere)
+    # While the controller settles that is to be expected; later the run has not done what it was to do.
+    degraded = passed or elsewhere or lost[run.settled_row :].any() or (yielded and beside["settled"])
+    return replace(run, status="degraded" if degraded else run.status, message=". Also, ".join(messages) or run.message)
+
+
+def _beside(run: Result, further: Sequence[Further | None]) -> dict[str, Any]:
+    """Further task of a run in plain values: errors after transients, and where limits took part of it."""
+    seen = [row for row in further if row is not None]
+    if not seen:
+        return {}
+    error = np.array([row.error for row in seen])
+    deficit = np.abs(np.array([row.deficit for row in seen]))
+    lost: Array = (deficit > TASK_DEFICIT).any(axis=1)
+    late, task = run.settled_row, seen[0].task
+    return {
+        "kind": task.kind or str(task),
+        "frame": task.frame,
+        "error_max": float(np.abs(error[late:]).max(initial=0.0)),
+        "error_end": float(np.abs(error[-1]).max()),
+        "given_up_seconds": run._seconds(lost),
+        "first": float(run.t[lost][0]) if lost.any() else None,
+        "settled": bool(lost[late:].any()),
+    }
+
+
+def _elsewhere(apart: Array | None) -> str:
+    """Message about joints far from the planned ones at the end of a run; empty if they are near."""
+    if apart is None or apart[-1] <= ELSEWHERE:
+        return ""
+    return (
+        f"the joints ended {apart[-1]:.3g} rad or m away from those they were to follow, whatever the task did: they "
+        "are on another component of the self-motion, still on their way back, or too slow"
+    )
+
+
+def not_measured(controller: Controller) -> str:
+    """Sentence about figures that a run lacks because its controller has set no task or no reference."""
+    missing = controller.unset
+    if not missing:
+        return ""
+    return (
+        f"no task error is known: {type(controller).__name__} has no attribute {' and no '.join(missing)}. Set "
+        f"{' and '.join(missing)} in its constructor, to None where there is none"
+    )
