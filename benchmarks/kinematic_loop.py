@@ -7,17 +7,18 @@
     python benchmarks/kinematic_loop.py peers               steps and joints after each round, in one run
     python benchmarks/kinematic_loop.py planned             the same on circles, on planned joints
 
-Results are printed and written as JSON (--out). The peers' environments come from `benchmarks/peers.py setup`.
+Results are printed and written as JSON (--json). The peers' environments come from `benchmarks/peers.py setup`.
 """
 
 from __future__ import annotations
 
 import json
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -40,6 +41,7 @@ from eos_pin import (
     plan,
 )
 from eos_pin._arrays import JointVector
+from eos_pin.cli.main import run
 from eos_pin.experiments.defaults import fitting_path, make_task, rest_posture
 from eos_pin.tasks.base import Point, Task
 
@@ -233,15 +235,15 @@ def _told(median: float, ends: list[list[float]], task: Task, q: JointVector, go
 def main(
     what: tyro.conf.Positional[Literal["tracking", "limits", "orders", "stops", "peers", "planned"]],
     runs: int = 100,
-    out: Path | None = None,
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
     write: bool = False,
-) -> None:
+) -> int:
     """Measure one thing.
 
     Args:
         what: What to measure.
         runs: Number of random runs.
-        out: File for the results.
+        json_file: File for the results.
         write: Write the table of `peers` or `planned` into docs/commands.md.
     """
     if what in ("tracking", "peers", "planned"):
@@ -250,10 +252,11 @@ def main(
         found = {"limits": limits, "orders": orders, "stops": stops}[what](runs)
     for name, value in found.items():
         print(name, value)
-    if out is not None:
-        out.write_text(json.dumps(found, indent=1) + "\n")
+    if json_file is not None:
+        json_file.write_text(json.dumps(found, indent=1) + "\n")
     if write and what in ("peers", "planned"):
         fill(HOME / "docs" / "commands.md", f"kinematic_loop.py {what}", table(COLUMNS, map(_row, found.items())))
+    return 0
 
 
 def _row(found: tuple[str, dict[str, Any]]) -> tuple[str, ...]:
@@ -266,4 +269,4 @@ def _row(found: tuple[str, dict[str, Any]]) -> tuple[str, ...]:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    sys.exit(run(main))

@@ -60,7 +60,6 @@ def analyze(
         raise InputError("--tolerance does not apply: every coordinate of the task counts here; leave it out")
     if task.further != "none":
         raise InputError("--further does not apply: the joints have moved already; leave it out")
-    output.without("seed", reason="nothing is random here")
     if output.view:
         raise InputError("--view does not apply: the run is over; its replay is --html FILE")
     from eos_pin.experiments.defaults import make_task

@@ -70,7 +70,6 @@ def ik(
     from eos_pin.experiments.path_files import path_from_csv, points_along, task_point
     from eos_pin.simulation._recorder import joint_run
 
-    output.without("seed", reason="nothing is random here")
     output.within(None, names={})
     if to and path is not None:
         raise InputError("--to and --path exclude each other: joints are found for one point, or along a path")

@@ -62,7 +62,7 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
     from eos_pin.control.overload import gravity_overload
     from eos_pin.robot.loading import leaf_frames
 
-    output.without("seed", "csv", "bag", "rerun", reason="nothing moves here")
+    output.without("csv", "bag", "rerun", reason="nothing moves here")
     machine = robot.load()
     found = _find_out(machine, task)
     goal, q = found.task, found.q

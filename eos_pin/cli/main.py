@@ -10,7 +10,7 @@ import tyro
 
 # What the commands need beyond their options is imported where it is used, so that `eos-pin --help` is quick.
 from eos_pin.cli.analyze import analyze
-from eos_pin.cli.arguments import STYLE, Registry
+from eos_pin.cli.arguments import STYLE, Registry, worded
 from eos_pin.cli.demo import demo
 from eos_pin.cli.explore import explore
 from eos_pin.cli.ik import ik
@@ -35,7 +35,7 @@ def run(command: Callable[..., int], argv: Sequence[str] | None = None) -> int:
 
     def parsed() -> int:
         with Registry():
-            return tyro.cli(command, args=argv, config=STYLE)
+            return tyro.cli(worded(command), args=argv, config=STYLE)
 
     return guarded(parsed)
 
@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         replay,
         robots,
     )
-    commands = {f.__name__: f for f in (*listed, robots)}
+    commands = {f.__name__: worded(f) for f in (*listed, robots)}
 
     def command() -> int:
         _refuse_old_flags(words)
@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 prog="eos-pin",
                 description="Extended operational space control of redundant robots, on any URDF.",
                 args=argv,
-                config=(*STYLE, tyro.conf.PositionalRequiredArgs, tyro.conf.FlagCreatePairsOff),
+                config=(*STYLE, tyro.conf.PositionalRequiredArgs),
             )
 
     return guarded(command)

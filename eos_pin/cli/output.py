@@ -7,7 +7,7 @@ import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -71,7 +71,6 @@ class Output:
         bag: Folder for the motion as a bag of ROS 2, joint states and a trajectory (pip install 'eos-pin[ros]').
         rerun: File for Rerun's viewer (.rrd), robot and curves (pip install 'eos-pin[rerun]').
         view: Watch the run live in the browser, in real time.
-        seed: Seed of everything random.
     """
 
     out: Path | None = None
@@ -82,34 +81,40 @@ class Output:
     bag: Path | None = None
     rerun: Path | None = None
     view: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    seed: int = 0
 
     def without(self, *names: str, reason: str) -> None:
-        """Refuse options that a command has no use for.
-
-        Raises:
-            InputError: One of them is given.
-        """
+        """Refuse options that a command has no use for, with an InputError."""
         for name in names:
             if getattr(self, name):
                 raise InputError(f"--{name} {getattr(self, name)} does not apply: {reason}")
 
     def within(self, folder: Path | None, *, names: Mapping[str, str]) -> Output:
-        """The same with a default path below `out`, or `folder`, for every file in `names` that has none.
+        """The same with a path below `out`, or `folder`, if any, for every file in `names` that has none.
 
         Args:
-            folder: Folder where `out` is not given; None for no default files then.
+            folder: Place if `out` is not given.
             names: File name by the name of the option.
 
         Raises:
-            OutputError: A file could not be written there; found out before anything runs.
+            OutputError: A file cannot be written there.
         """
         base = self.out or folder
         chosen = {key: getattr(self, key) for key in ("json", "html", "plot", "csv", "bag", "rerun")}
         if base is not None:
             chosen |= {key: chosen[key] or base / name for key, name in names.items()}
         check_writable(*filter(None, (base, *chosen.values())))
-        return Output(out=base, view=self.view, seed=self.seed, **chosen)
+        return replace(self, out=base, **chosen)
+
+
+@dataclass(frozen=True)
+class SeededOutput(Output):
+    """Files to keep, the live view, and the seed.
+
+    Attributes:
+        seed: Seed of everything random.
+    """
+
+    seed: int = 0
 
 
 @contextmanager
@@ -261,12 +266,7 @@ def say_notes(*made: Robot | Trajectory | Task | JointLog) -> None:
 
 
 def warn_of_gravity(robot: Robot, q: JointVector) -> None:
-    """Warn on the terminal if gravity needs more torque than the joints have.
-
-    Args:
-        robot: The robot.
-        q: Posture at the start.
-    """
+    """Warn on the terminal if gravity needs more torque than the joints have, at the posture of the start."""
     from eos_pin.control.overload import gravity_overload
 
     for note in gravity_overload(robot, q):

@@ -16,6 +16,7 @@ from eos_pin._arrays import JointVector
 from eos_pin._files import check_writable
 from eos_pin.cli.output import (
     Output,
+    SeededOutput,
     console,
     format_number,
     print_files,
@@ -217,7 +218,7 @@ def plan(
     path: PlanPath = PlanPath(),
     within: Obstructed = Obstructed(),
     time: PlanTiming = PlanTiming(),
-    output: Output = Output(),
+    output: SeededOutput = SeededOutput(),
     save: Annotated[Path | None, tyro.conf.arg(name="plan")] = None,
 ) -> int:
     """Plan joints along a whole task path: continuous, within limits, clear of obstacles, closed on request.

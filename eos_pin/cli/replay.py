@@ -53,7 +53,6 @@ def replay(
       eos-pin replay runs/panda-position/run.npz --html panda.html --plot panda.pdf
       eos-pin replay runs/panda-compare/eos.npz runs/panda-compare/task-space.npz
     """
-    output.without("seed", reason="the runs are over")
     if not runs:
         raise InputError("a replay needs a run, such as `eos-pin replay runs/panda-position/run.npz`")
     if robot and (output.csv or output.json) and not (output.html or output.plot or output.view or output.out):
@@ -140,7 +139,6 @@ def robots(name: tyro.conf.Positional[str] = "", output: Output = Output()) -> i
       eos-pin robots
       eos-pin robots panda
     """
-    output.without("seed", reason="nothing is random here")
     if any((output.html, output.plot, output.csv, output.view, output.bag, output.rerun)):
         raise InputError("a list of robots cannot be drawn; try `eos-pin info ROBOT --html FILE`")
     found = [robot for robot in available_robots() if name.lower() in robot.name.lower()]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from eos_pin.cli.output import (
-    Output,
+    SeededOutput,
     console,
     format_number,
     grid,
@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
 
 def selfmotion(
-    robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output = Output(), at: tuple[float, ...] = ()
+    robot: RobotOptions,
+    task: TaskOptions = TaskOptions(),
+    output: SeededOutput = SeededOutput(),
+    at: tuple[float, ...] = (),
 ) -> int:
     """Find equilibria of the self-motion under gravity while the task is held, their frequencies, and ways between.
 

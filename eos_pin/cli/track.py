@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from eos_pin.cli.follow import Planned, loaded_plan, made_plan, obstacles_in, repeat_note
 from eos_pin.cli.output import (
-    Output,
+    SeededOutput,
     console,
     print_files,
     print_runs,
@@ -45,7 +45,7 @@ def track(
     path: PathOptions = PathOptions(),
     control: ControlOptions = ControlOptions(),
     simulation: RunOptions = RunOptions(),
-    output: Output = Output(),
+    output: SeededOutput = SeededOutput(),
     plan: Path | None = None,
     scene: Path | None = None,
 ) -> int:
@@ -123,7 +123,7 @@ def compare(
     task: TaskOptions = TaskOptions(),
     path: PathOptions = PathOptions(),
     simulation: RunOptions = RunOptions(),
-    output: Output = Output(),
+    output: SeededOutput = SeededOutput(),
     controllers: tuple[ControllerName, ...] = (
         "eos",
         "task-space",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import tyro
 from eos_pin import Atlas, Chart, PositionTask, Robot, plan
 from eos_pin.cli.info import command_words
 from eos_pin.cli.main import main
+from eos_pin.cli.main import run as cli_run
 from eos_pin.cli.output import console, print_runs, run_table
 from eos_pin.cli.tables import drift_of_cycles
 from eos_pin.experiments.options import RobotOptions, TaskOptions
@@ -31,12 +33,34 @@ def test_help_names_arguments_and_has_no_empty_default(command: str, capsys: pyt
         main([command, "--help"])
     said = capsys.readouterr().out
     words = " ".join(re.sub("[│╭╮╰╯─]", " ", said).split())
-    assert "None" not in words
+    assert not re.search(r"\bNone\b|\bunset\b|\bFalse\b", words)
     assert not re.search(r"\(default: *(''|\"\")?\)", words)
+    # What a command has no use for is not offered.
+    assert ("--seed " in words) == (command in {"track", "plan", "compare", "selfmotion", "rehearse"})
     if hasattr(tyro.conf, "PositionalMetavarFromFieldName"):
-        usage = words.partition("╭")[0].partition(" options")[0]
-        assert not re.search(r"(STR|PATH)\]? *$", usage.splitlines()[0])
-        assert "STR" not in said.splitlines()[0]
+        # Words of meaning for all but plain numbers.
+        assert not re.search(r"\bSTR\b|[\[{](FLOAT|INT|PATH)", words)
+
+
+def test_help_of_any_command_has_words_for_values(capsys: pytest.CaptureFixture[str]) -> None:
+    def measure(robot: str, what: Literal["a", "b"] = "a", *, rounds: int = 3, write: bool = False) -> int:
+        """Measure.
+
+        Args:
+            robot: Name.
+            what: Choice.
+            rounds: Number.
+            write: Whether.
+        """
+        assert (robot, what, rounds, write) == ("panda", "b", 4, True)
+        return 0
+
+    assert cli_run(measure, ["--robot", "panda", "--what", "b", "--rounds", "4", "--write"]) == 0
+    with pytest.raises(SystemExit):
+        cli_run(measure, ["--help"])
+    said = capsys.readouterr().out
+    assert all(word in said for word in ("--robot ROBOT", "{a,b}", "--rounds INT", "(default: 3)", "--write "))
+    assert not re.search("False|--no-write", said)
 
 
 @pytest.fixture(scope="module")
