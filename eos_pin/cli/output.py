@@ -308,10 +308,11 @@ def run_table(summary: Mapping[str, Any]) -> Table:
     table.add_row("duration", f"{summary['duration']:g} s, {summary['cycles']} cycles{period}")
     units = " or ".join(dict.fromkeys(summary["units"])) or "m or rad"
     settled = f"after {summary['settled_from']:g} s"
-    table.add_row(f"task error, {settled}", f"{format_number(summary['task_error_max'])} {units}")
+    error = "tool path error" if summary["frame"] else "task error"
+    table.add_row(f"{error}, {settled}", f"{format_number(summary['task_error_max'])} {units}")
     nothing = "none: the task takes all joints (r = 0)" if summary["m"] and not summary["r"] else ""
     table.add_row(f"self-motion error, {settled}", nothing or format_number(summary["self_motion_error_max"]))
-    table.add_row("joint drift of a cycle", drift_of_cycles(summary["joint_drift_per_cycle"]))
+    table.add_row("joints come back to within", drift_of_cycles(summary["joint_drift_per_cycle"]))
     if any(summary["joint_turns_per_cycle"]):
         table.add_row("whole turns of a joint in a cycle, at most", str(max(summary["joint_turns_per_cycle"])))
     if summary["joint_distance"]:

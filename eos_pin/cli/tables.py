@@ -66,7 +66,8 @@ def fitted(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], wi
 def folded(text: str, width: int) -> str:
     """Text in lines of a width, broken after blanks and signs such as `_`, elsewhere only if there is no other way."""
     lines, line = [], ""
-    for piece in re.findall(r"[^\s_/.:-]*[\s_/.:-]?", text):
+    # Points and signs within a number are no place to break it.
+    for piece in re.split(r"(?<=[\s_/])|(?<=[.:-])(?!\d)", text):
         if cell_len((line + piece).rstrip()) > width and line:
             lines.append(line.rstrip())
             line = ""

@@ -17,6 +17,8 @@ import tornado.websocket
 
 #: The only interface that is listened on.
 LOOPBACK = "127.0.0.1"
+#: Messages kept for browsers that connect late; of more, older ones are thinned out.
+KEPT = 2000
 
 
 class Server:
@@ -44,8 +46,8 @@ class Server:
         self.clients: set[_Browser] = set()
         self.seen = threading.Event()
         self.page = b""
-        #: What a browser that connects late is sent first, by kind of message.
-        self.latest: dict[int, bytes] = {}
+        #: Messages that a browser which connects late is sent first.
+        self.history: list[bytes] = []
         self._ready = threading.Event()
         self._closed = False
 
@@ -56,16 +58,15 @@ class Server:
         self._thread.start()
         self._ready.wait()
 
-    def send(self, kind: int, message: bytes, *, final: bool = False) -> None:
+    def send(self, message: bytes, *, final: bool = False) -> None:
         """Send to all browsers; one that is still busy with an earlier message skips this one.
 
         Args:
-            kind: Kind of message.
             message: Message to send.
-            final: Whether it must not be skipped; messages of other kinds before it are no longer of interest.
+            final: Whether it must not be skipped; messages before it are no longer of interest.
         """
         if not self._closed:
-            self._loop.call_soon_threadsafe(self._broadcast, kind, message, final)
+            self._loop.call_soon_threadsafe(self._broadcast, message, final)
 
     def close(self) -> None:
         """Stop listening and end the thread."""
@@ -74,10 +75,12 @@ class Server:
             self._loop.call_soon_threadsafe(self._closing.set)
             self._thread.join(timeout=5.0)
 
-    def _broadcast(self, kind: int, message: bytes, final: bool) -> None:
+    def _broadcast(self, message: bytes, final: bool) -> None:
         if final:
-            self.latest.clear()
-        self.latest[kind] = message
+            self.history.clear()
+        self.history.append(message)
+        if len(self.history) > KEPT:
+            del self.history[1::2]
         for browser in self.clients:
             browser.post(message, final=final)
 
@@ -119,7 +122,7 @@ class _Browser(tornado.websocket.WebSocketHandler):
         self.set_nodelay(True)
         self.server.clients.add(self)
         self.server.seen.set()
-        for message in self.server.latest.values():
+        for message in self.server.history:
             self.post(message, final=True)
 
     def post(self, message: bytes, *, final: bool) -> None:

@@ -396,11 +396,8 @@ const Kinematics = (() => {
     }
     /** Cosine of the largest principal angle between the row spaces of J and of the base point; 0 on the edge. */
     margin(J) {
-      const { m, n } = this.robot, C = times(J, this.rows, m, n, m), Q = rowBasis(J, m, n);
-      const cosines = times(transposed(Q, n, m), this.rows, m, n, m);
-      const least = eigenvalues(times(cosines, transposed(cosines, m, m), m, m, m), m)[0];
-      const found = solve(C, C, m, 1);
-      return found && found.determinant > 0 ? Math.sqrt(Math.max(least, 0)) : 0;
+      const { m, n } = this.robot, cosines = times(transposed(rowBasis(J, m, n), n, m), this.rows, m, n, m);
+      return Math.sqrt(Math.max(eigenvalues(times(cosines, transposed(cosines, m, m), m, m, m), m)[0], 0));
     }
     /** B = (J U)⁻¹, Eq. (15); null beyond the edge of the chart. */
     B(J) {
@@ -426,12 +423,12 @@ const Kinematics = (() => {
         for (let i = 0; i < n; i++) for (let k = 0; k < m; k++) q[i] -= this.U[i * m + k] * u[k];
         const { z: here, J } = robot.evaluate(q), error = robot.error(here, z);
         const residual = Math.max(...error.map(Math.abs));
+        const B = this.B(J);
+        if (!B) return null;
         // At the limit of rounding the residual no longer falls.
         if (residual <= TOLERANCE || residual <= 1e3 * TOLERANCE && residual >= last) return { q, u, J, residual };
         if (!(residual < last)) return null;
         last = residual;
-        const B = this.B(J);
-        if (!B) return null;
         const step = times(B, error, m, m, 1);
         for (let k = 0; k < m; k++) u[k] += step[k];
       }

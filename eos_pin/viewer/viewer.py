@@ -122,8 +122,8 @@ class Viewer(Served):
     """Live view of a robot, in any number of browsers on this machine.
 
     The server is a thread of this process and listens on the loopback interface only: no other machine can connect, and
-    nothing stays behind, however the process ends. Browsers may come, go and reload at any time; each keeps what it
-    has received, to be scrubbed back and forth, also when the run is over. For example:
+    nothing stays behind, however the process ends. Browsers may come, go and reload at any time; each gets the run from
+    its start, to be scrubbed back and forth, also when the run is over. For example:
 
         with Viewer(scene, q) as viewer:
             viewer.open()
@@ -176,14 +176,14 @@ class Viewer(Served):
         if time.monotonic() - self._sent >= self._period:
             self._sent = time.monotonic()
             values = self._curves.read(t, q) if self._curves else ()
-            self._server.send(FRAME, _message(FRAME, np.array([t]), self._scene.poses(t, q), values))
+            self._server.send(_message(FRAME, np.array([t]), self._scene.poses(t, q), values))
 
     @checked
     def play(self, t: VectorLike, q: Float[np.ndarray, "k n"], *, fps: float = 30.0) -> None:
         """Hand a whole motion to the browsers, which play it by themselves; arguments as for `write_html`."""
         times, joints = sampled(self._scene.robot, t, q, rate=fps)
         poses = np.array([self._scene.poses(*frame) for frame in zip(times, joints, strict=True)])
-        self._server.send(MOTION, _message(MOTION, times, poses), final=True)
+        self._server.send(_message(MOTION, times, poses), final=True)
 
 
 def _message(kind: int, times: Vector, poses: Array, values: Array | tuple[()] = ()) -> bytes:

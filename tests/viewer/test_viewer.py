@@ -336,8 +336,16 @@ def test_browsers_receive_frames_and_motions_and_may_leave(ppr: Robot) -> None:
             np.testing.assert_allclose(
                 message[3:].reshape(3, 7), scene.poses(0.0, np.array([0.1, 0.2, 0.3])), atol=1e-6
             )
+        # One that comes late has the run from its start.
+        await asyncio.sleep(0.02)
+        await loop.run_in_executor(None, viewer.show, 0.5, np.zeros(3))
+        late = await websocket_connect(url)
+        times = [np.frombuffer(await late.read_message(), "<f4")[2] for _ in range(2)]
+        np.testing.assert_array_equal(times, [0.25, 0.5])
+        late.close()
+        assert np.frombuffer(await second.read_message(), "<f4")[2] == 0.5
         first.close()
-        assert await first.read_message() is None
+        assert (await first.read_message(), await first.read_message())[1] is None
         while viewer.browsers > 1:
             await asyncio.sleep(0.01)
         viewer.play([0.0, 2.0], np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]]), fps=10)
