@@ -6,7 +6,7 @@
 * `fourr`: Kazerounian and Wang's planar arm (1987), whose least ∫‖dq/ds‖² ds is known, from 20 seeds.
 * `iklink`: a path of 767 way points on which joints must jump; how few times.
 * `evidence`: on that path, whether fewer jumps than that could do.
-* `convergence`: the cost of plans of the same paths at more and more points, as a table and a figure.
+* `convergence`: the cost of plans of the same paths at more and more points.
 """
 
 from __future__ import annotations
@@ -282,10 +282,7 @@ def iklink(options: argparse.Namespace) -> int:
 
 def convergence(options: argparse.Namespace) -> int:
     """Cost of plans of circles against the number of their way points."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.0, 3.6), layout="constrained")
-    axes, worst, lines = figure.subplots(), 0.0, []
+    worst, lines = 0.0, []
     counts = [20 * 2**k for k in range(options.levels)]
     for name, pose, radius in (("panda", 0, 0.3), ("panda", 1, 0.15), ("xarm7", 1, 0.1), ("baxter", 1, 0.1)):
         robot = load_robot(name, chain_to=ARMS[name] or "auto")
@@ -299,18 +296,13 @@ def convergence(options: argparse.Namespace) -> int:
             points[:, :2] += radius * np.column_stack((np.cos(s) - 1.0, np.sin(s)))
             found = plan(task, points, times=s / (2.0 * np.pi), closed=True, keep_time=False)
             costs.append(integral(found, found.end - found.start))
-        label = f"{name}, {'pose' if pose else 'position'}"
-        lines.append([label, *(f"{cost:.6g}" for cost in costs)])
-        print(label, " ".join(lines[-1][1:]), flush=True)
         off = np.abs(np.array(costs[:-1]) / costs[-1] - 1.0)
         worst = max(worst, float(off[-1]))
-        axes.loglog(counts[:-1], off, "o-", label=label)
-    axes.set(xlabel="way points", ylabel=f"relative difference from {counts[-1]} way points")
-    axes.legend(frameon=False)
-    if options.plot:
-        figure.savefig(options.plot)
+        label = f"{name}, {'pose' if pose else 'position'}"
+        lines.append([label, f"{costs[-1]:.5g}", *(f"{each:.2g}" for each in off)])
+        print(" ".join(lines[-1]), flush=True)
     if options.write:
-        columns = ["path", *(f"{count} points" for count in counts)]
+        columns = ["path", f"cost of {counts[-1]} points", *(f"{count}" for count in counts[:-1])]
         marked.fill(marked.PLANNING, "convergence", "\n" + marked.table(columns, lines))
     return 0 if worst < 0.01 else 1
 
@@ -334,7 +326,6 @@ def main() -> int:
     three.add_argument("urdf", type=Path)
     four = commands.add_parser("convergence")
     four.add_argument("--levels", type=int, default=5)
-    four.add_argument("--plot", type=Path)
     four.add_argument("--write", action="store_true", help="write the table into docs/planning.md")
     five = commands.add_parser("evidence")
     five.add_argument("path", type=Path)

@@ -86,15 +86,16 @@ def escape(_app: Any, _what: str, _name: str, _object: Any, _options: Any, lines
         )
 
 
-def write_explorer(app: Any) -> None:
-    """Write the explorer that the tutorial shows, where pages look for it."""
-    from figures import explorer
+def write_figures(app: Any) -> None:
+    """Write the figures, and the explorer that the tutorial shows, where pages look for them."""
+    from figures import explorer, figures
 
+    figures()
     explorer(Path(app.outdir))
 
 
 def setup(app: Any) -> None:
     """Connect the steps of the build."""
-    app.connect("builder-inited", write_explorer)
+    app.connect("builder-inited", write_figures)
     app.connect("builder-inited", write_reference)
     app.connect("autodoc-process-docstring", escape, priority=400)

@@ -68,6 +68,8 @@ def write_gif(
             ax.set_aspect("equal", adjustable="box")
             ax.set(xlim=limits[0], ylim=limits[1], title=f"t = {t:.1f} s")
             canvas.draw()  # type: ignore[no-untyped-call]
+            # One layout for all frames: nothing jumps, and finding it takes most of the time.
+            figure.set_layout_engine("none")
             pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
             frames.append(Image.fromarray(pixels[:, :, :3].copy()))
     # One palette for all frames: what does not change between them then takes no space.

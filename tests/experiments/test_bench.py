@@ -183,7 +183,7 @@ def test_hundredth_of_the_bench_is_kept_and_reported(tmp_path, monkeypatch, caps
     first = (tmp_path / "page.md").read_text()
     assert main(words) == 0
     assert kept == {path: path.stat().st_mtime_ns for path in (tmp_path / "finished").iterdir()}
-    assert (tmp_path / "page.png").stat().st_size > 10_000
+    assert (tmp_path / "figures" / "page.png").stat().st_size > 10_000
     found = harness.read_results(tmp_path / "results.csv")
     assert len(found) == 8
     assert all(row["status"] in ("finished", "degraded") for row in found)

@@ -28,7 +28,7 @@ class BenchOutput:
 
     Attributes:
         out: Folder of all files. Finished runs are in its folder `finished`, and are not computed again.
-        page: File for the page in Markdown; its figure is written beside it.
+        page: File for the page in Markdown; its figure is written into the folder `figures` beside it.
         json: File for the verdicts as JSON.
     """
 
@@ -151,8 +151,9 @@ def _report(rows: Sequence[Row], kept: BenchOutput, written: list[Path]) -> int:
     if np.isfinite(values).all():
         titles = [LAWS[law].title for law in laws]
         figure = ratios(titles, [SETTINGS[setting].title for setting in settings], values, best)
-        written.append(save(figure, place.with_suffix(".png")))
-        text = page(rows, "eos-pin bench --page docs/controllers.md", place.with_suffix(".png").name)
+        drawn = Path("figures") / f"{place.stem}.png"
+        written.append(save(figure, place.parent / drawn))
+        text = page(rows, "eos-pin bench --page docs/controllers.md", drawn.as_posix())
         write_atomically(place, lambda file: file.write(text.encode()))
         written.append(place)
     else:

@@ -13,7 +13,7 @@ from eos_pin.experiments.bench.trial import DURATION, LOST, OFF, PERIOD, SETTLED
 from eos_pin.experiments.bench.verdict import ALIKE, Verdict, enough, verdict
 from eos_pin.experiments.trial import Row
 
-HEAD = """# Which controller?
+HEAD = """# Control laws compared
 
 <!-- Written by `{command}`; changes go into eos_pin/experiments/bench/page.py. -->
 """
@@ -23,7 +23,7 @@ EIGHT += ("acceleration-torque", "gauss", "decoupled", "decoupled-springs")
 
 
 def page(rows: Sequence[Row], command: str, figure: str = "") -> str:
-    """The page "Which controller?".
+    """The page "Control laws compared".
 
     Args:
         rows: Results, see `bench`.
