@@ -9,10 +9,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -80,7 +79,7 @@ class Output:
     csv: Path | None = None
     bag: Path | None = None
     rerun: Path | None = None
-    view: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    view: bool = False
 
     def without(self, *names: str, reason: str) -> None:
         """Refuse options that a command has no use for, with an InputError."""
