@@ -11,6 +11,7 @@ from eos_pin.errors import OutputError
 from eos_pin.paper import examples as paper
 from eos_pin.paper.claims import FOOTNOTE, Claim
 from eos_pin.paper.examples import Example
+from eos_pin.simulation.result import Result
 
 #: Every example that a claim needs, by a name of its own; the arguments left are those of a tolerance study.
 PLAN: Mapping[str, Callable[..., Example]] = {
@@ -43,6 +44,40 @@ def study_table(claims: Mapping[float, Sequence[Claim]]) -> str:
         for rows in zip(*claims.values(), strict=True)
     ]
     return "\n".join("| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rows])
+
+
+def beside_table(runs: Mapping[str, Mapping[str, Result]]) -> str:
+    """Table in Markdown of drift and kinetic energy under the paper's control and under what people use beside it."""
+    laws = {
+        "traditional (paper)": "task-space",
+        "with posture control": "null-space-posture",
+        "with damping": "null-space-damping",
+        "with the gradient": "task-space-energy",
+    }
+    lines = ["| | drift, planar robot | kinetic energy | drift, chain | kinetic energy |", "|---|---|---|---|---|"]
+    for title, law in laws.items():
+        planar = runs["5.1" if law in runs["5.1"] else "5.3"][law]
+        # The chain is chaotic under traditional control, so its figures differ from machine to machine.
+        chain = ["chaotic", "> 100"] if law == "task-space" else _beside(runs["6.1"].get(law))
+        lines.append(_row(title, *_beside(planar), *chain))
+    lines.append(_row("EOS, v_d = 0", *_beside(runs["5.2"]["eos"]), *_beside(runs["6.2"]["eos"])))
+    lines.append(_row("EOS, with the gradient", *_beside(runs["5.3"]["eos"]), *_beside(None)))
+    assert runs["6.1"]["task-space"].summary()["kinetic_energy_mean"] > 100.0
+    return "\n".join(lines)
+
+
+def _beside(result: Result | None) -> list[str]:
+    """Drift and kinetic energy, in figures that come out the same on every machine."""
+    if result is None:
+        return ["", ""]
+    summary = result.summary()
+    # Below this lies the error of integration.
+    drift = (f"{value:.2g}" if value > 1e-6 else "≤ 1e-6" for value in summary["joint_drift_per_cycle"])
+    return [", ".join(drift), f"{summary['kinetic_energy_mean']:.3g}"]
+
+
+def _row(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
 
 
 def update_block(path: Path, name: str, text: str, heading: str) -> None:

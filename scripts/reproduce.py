@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from claim_tables import PLAN, claims_table, study_table, update_block
+from claim_tables import PLAN, beside_table, claims_table, study_table, update_block
 
 from eos_pin._files import write_atomically
 from eos_pin.cli.main import run
@@ -60,7 +60,7 @@ def main(
         jobs: Processes to use.
         study: Measure every claim at rtol 1e-6, 1e-9 and 1e-12 as well.
         pictures: Write figures (PNG and PDF), replays (HTML) and animations (GIF).
-        update_docs: Write the table of claims into docs/paper.md, with a study that of tolerances too.
+        update_docs: Write the tables of claims and of other laws into docs/paper.md, with a study that of tolerances.
     """
     tolerances = (None, *TOLERANCES) if study else (None,)
     work = [(label, name, rtol) for label in PLAN for name in PLAN[label]().experiments for rtol in tolerances]
@@ -80,6 +80,7 @@ def main(
     _write(table or out / "claims.md", claims_table(claims))
     if update_docs:
         update_block(ROOT / "docs" / "paper.md", "claims", claims_table(claims), "The claims")
+        update_block(ROOT / "docs" / "paper.md", "beside", beside_table(runs), "What people use beside it")
     if study:
         tolerance_table = study_table({rtol: measure(results[rtol]) for rtol in TOLERANCES})
         _write(out / "tolerances.md", tolerance_table)

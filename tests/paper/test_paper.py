@@ -36,7 +36,7 @@ from eos_pin.plots import pages as plots
 ROOT = Path(__file__).parents[2]
 sys.path.append(str(ROOT / "scripts"))
 import reproduce  # noqa: E402
-from claim_tables import PLAN, claims_table, study_table, update_block  # noqa: E402
+from claim_tables import PLAN, beside_table, claims_table, study_table, update_block  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -255,6 +255,7 @@ def test_reproduce_checks_every_claim_and_the_docs_have_the_measurements(
     page = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
     block = page.partition("<!-- claims -->\n")[2].partition("<!-- /claims -->")[0]
     assert block == (tmp_path / "claims.md").read_text(), "run: python scripts/reproduce.py --update-docs"
+    assert f"<!-- beside -->\n{beside_table(runs)}\n<!-- /beside -->" in page
 
 
 @pytest.mark.slow
