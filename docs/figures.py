@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +76,8 @@ def learning(path: Path) -> None:
 
     (code,) = re.findall(r"```python\n(.*?)```", page("learning"), re.DOTALL)
     made: dict[str, Any] = {}
-    exec(compile(code, "learning.md", "exec"), made)
+    with redirect_stdout(StringIO()):
+        exec(compile(code, "learning.md", "exec"), made)
     with style():
         figure, ax = _figure()
         rounds = range(1, 1 + len(made["curve"]))

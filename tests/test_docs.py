@@ -10,9 +10,20 @@ import sys
 from pathlib import Path
 from urllib.parse import unquote
 
+import numpy as np
+import pinocchio as pin
 import pytest
 
+from eos_pin import (
+    EosController,
+    circle,
+    load_robot,
+    make_task,
+    rest_posture,
+    simulate,
+)
 from eos_pin.cli.main import main
+from eos_pin.robot.library import find_robot
 
 ROOT = Path(__file__).parent.parent
 PAGES = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
@@ -61,3 +72,40 @@ def test_site_builds_without_a_warning(tmp_path):
                 target = (page.parent / file.partition("?")[0]).resolve() if file else page
                 assert target.exists(), f"{page}: {link}"
                 assert not anchor or anchor in anchors.get(target, {anchor}), f"{page}: {link}"
+
+
+@pytest.fixture
+def inputs(tmp_path, monkeypatch):
+    """The folder in which commands of pages run, with the files that they name, and a browser that opens at once."""
+    for name, robot in {"path/to/robot.urdf": "ur5", "robot.urdf": "panda"}.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).symlink_to(find_robot(robot).path)
+    task = make_task(load_robot("panda", chain_to="panda_hand_tcp"), "pose")
+    q = rest_posture(task)
+    placement, turns = task.robot.placement(q, task.frame), np.linspace(0.0, 2.0 * np.pi, 41)
+    points = placement.translation + 0.08 * np.column_stack((np.cos(turns) - 1.0, np.sin(turns), 0.0 * turns))
+    rows = np.column_stack((points, np.tile(pin.rpy.matrixToRpy(placement.rotation), (len(turns), 1))))
+    for name in ("poses.csv", "path.csv"):
+        np.savetxt(tmp_path / name, rows, delimiter=",", header="x,y,z,roll,pitch,yaw", comments="")
+    (tmp_path / "boxes.yaml").write_text("boxes:\n  - {centre: [-0.5, 0.5, 0.2], size: [0.1, 0.1, 0.1]}\n")
+    arm = make_task(load_robot("ur5", chain_to="tool0"), "position")
+    start = rest_posture(arm)
+    path = circle(arm.value(start), 0.05, period=2.0, plane="yz")
+    run = simulate(arm.robot, EosController(arm, path), start, duration=4.0)
+    run.to_csv(tmp_path / "log.csv")
+    for name in ("first", "second"):
+        run.save(tmp_path / name / "run.npz")
+    monkeypatch.setattr("webbrowser.open", lambda *address, **how: True)
+    monkeypatch.setattr("eos_pin.viewer.viewer.Served.open", lambda *viewer, **how: True)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.hour
+@pytest.mark.slow
+@pytest.mark.usefixtures("unchecked", "inputs")
+@pytest.mark.parametrize("page", [page for page in PAGES if "eos-pin " in "".join(blocks(page, "sh"))])
+def test_commands_of_a_page_run(page):
+    for line in re.findall(r"^(?:\.venv/bin/)?eos-pin .*$", "\n".join(blocks(page, "sh")), re.MULTILINE):
+        # A rehearsal takes as long as it says.
+        words = shlex.split(line.replace("--duration 60", "--duration 1"), comments=True)[1:]
+        assert main(words) == 0, line
