@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from eos_pin._arrays import JointVector
 from eos_pin._files import check_writable
 from eos_pin.cli.output import (
+    KEY,
     Output,
     SeededOutput,
     console,
@@ -380,6 +381,7 @@ def _table(found: Plan) -> Any:
             table.add_row(f"largest part of a limit of {what}", f"{part:.4g}")
     table.add_row("chart switches at margin 0.5", str(info["switches"]))
     table.add_row("planning time", f"{info['seconds']:.2f} s")
+    table.caption, table.caption_justify = KEY, "left"
     return table
 
 
