@@ -407,7 +407,7 @@ def others(rows: list[dict[str, Any]]) -> list[list[str]]:
         planned, sampled = row["planned"], row["sampled"]
         name = [str(row["number"]), row["robot"], row["task"], row["shape"]]
         if "solvable" in row:
-            reason = planned["message"].split(": ", 1)[-1].split(". ")[0]
+            reason = planned["message"].split(". ")[0]
             cells.append([*name, f"refused: {reason}", row["solvable"]])
         elif not (planned["repeats"] and sampled["repeats"]):
             met = planned if not planned["repeats"] else sampled

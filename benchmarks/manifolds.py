@@ -72,7 +72,7 @@ class Arm:
     Attributes:
         name: The robot.
         components: Number of components, the least and the most.
-        loop_ms: Milliseconds to trace one component, the least of three times, median and most.
+        loop_ms: Milliseconds to trace one component, the least of five times, median and most.
         all_ms: Milliseconds for the whole manifold with its arcs, median.
         closure: Largest gap of a loop, whole turns left aside, or task error of a node [rad, m].
         same: Poses at which all seeds found the same components.
@@ -170,7 +170,7 @@ def look(name: str, count: int) -> tuple[Arm, PoseTask, np.ndarray, list[SelfMot
             nodes = component.curve.q
             gap = np.abs(nodes[-1] - nodes[0] - 2.0 * np.pi * component.winding).max() if component.closed else np.inf
             arm.closure = max(arm.closure, float(gap), float(kinematics.residual(nodes, z).max()))
-            arm.loop_ms.append(1e3 * min(_seconds(partial(kinematics.trace, nodes[0], z=z)) for _ in range(3)))
+            arm.loop_ms.append(1e3 * min(_seconds(partial(kinematics.trace, nodes[0], z=z)) for _ in range(5)))
         # The room is about q, anywhere within it.
         width = random.choice(ROOM)
         lower = q - width * random.uniform(0.0, 2.0, robot.n)

@@ -39,11 +39,19 @@ class Planned:
     dq: JointVector
 
 
-def loaded_plan(robot: Robot, file: Path, q0: JointVector | None, control: ControlOptions) -> Planned:
-    """Plan from a file, joined from q0 where that is given."""
+def loaded_plan(
+    robot: Robot, file: Path, q0: JointVector | None, control: ControlOptions, frame: str | None = None
+) -> Planned:
+    """Plan from a file, joined from q0 where that is given; of a frame, where one was asked for."""
     from eos_pin.planning.plans import Plan
 
-    return _followed(Plan.load(file, robot), q0, control)
+    plan = Plan.load(file, robot)
+    moved = getattr(plan.task, "frame", None)
+    if frame is not None and moved is not None and frame != moved:
+        raise InputError(
+            f"{file} has a plan for the frame {moved!r}, not for {frame!r}; leave out --frame and --tool, or plan anew"
+        )
+    return _followed(plan, q0, control)
 
 
 def made_plan(task: Task, path: Trajectory, start: JointVector | None, control: ControlOptions, seed: int) -> Planned:

@@ -84,7 +84,8 @@ def track(
     solids = obstacles_in(scene)
     motion: Planned | None = None
     if plan is not None:
-        motion = loaded_plan(machine, plan, task.make(machine)[1] if task.q0 else None, control)
+        frame = machine.options["chain_to"] if robot.frame or robot.tool is not None else None
+        motion = loaded_plan(machine, plan, task.make(machine)[1] if task.q0 else None, control, frame)
         goal, reference, q = motion.task, motion.path, motion.q
     else:
         kept = control.self_motion == "planned" or control.controller in EOS

@@ -31,8 +31,6 @@ WHOLE = 2
 CONFIRMED = 2
 #: Weights of the barriers while ways are compared.
 ROUGH = (0.3, 0.03)
-#: Distance that is kept at points for each unit that is lacking between them, and more in any case [m].
-FURTHER, SPARE = 1.25, 1e-4
 #: A closed path without a closed way, in words.
 ASTRAY = "the postures that were found do not lead back to where they began"
 
@@ -108,12 +106,6 @@ class Search:
         if not self.course.kept(joints):
             joints = mended(self.course, joints).q
         return None if joints is None else refine(self.course, joints)
-
-    def clearer(self, q: Array, lacking: float) -> Array | None:
-        """Joints further from solids at the points, by the distance lacking between them; None without room for it."""
-        self.problem = replace(self.problem, gap=self.problem.gap + FURTHER * lacking + SPARE)
-        kept = mended(self.course, q).q
-        return None if kept is None else refine(self.course, kept)
 
     def _refine_grid(self, grid: Grid) -> None:
         """Go over to twice as many points."""
@@ -356,7 +348,7 @@ class Search:
         jump = "the joints would have to jump at "
         at = [note.removeprefix(jump) for note in dict.fromkeys(self.notes) if note.startswith(jump)]
         rest = [note for note in dict.fromkeys(self.notes) if not note.startswith(jump)]
-        reasons = "; ".join([*rest, *([jump + ", or at ".join(at[:3])] if at else [])]) or "the search found none"
+        reasons = "; ".join([*rest[:3], *([jump + ", or at ".join(at[:3])] if at else [])]) or "the search found none"
         kind = "closed motion" if grid.closed else "motion"
         helps = self._helps((), spent)
         return PlanError(

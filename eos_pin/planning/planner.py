@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -13,13 +14,16 @@ from eos_pin._arrays import Array, VectorLike, as_floats, called, checked, liste
 from eos_pin.errors import InputError, PlanError, take
 from eos_pin.planning.attempts import Progress, Search
 from eos_pin.planning.costs import Cost
+from eos_pin.planning.courses import mended
 from eos_pin.planning.grid import grid_of
+from eos_pin.planning.limit_use import MotionLimits, limit_use
 from eos_pin.planning.obstacles.bodies import Bodies
 from eos_pin.planning.obstacles.scene import Scene
 from eos_pin.planning.plans import Plan
 from eos_pin.planning.problem import given, problem_of
+from eos_pin.planning.refine import refine
 from eos_pin.planning.report import figures
-from eos_pin.planning.timing import in_time
+from eos_pin.planning.timing import check_limits, in_time
 from eos_pin.tasks.base import PointLike, Task
 from eos_pin.tasks.batch import Manifold
 from eos_pin.trajectories.base import Trajectory
@@ -28,6 +32,14 @@ from eos_pin.trajectories.base import Trajectory
 MARGIN = 0.01
 #: How many times a plan is improved that is not as it should be between its points.
 FINER = 3
+#: Distance that is kept at points for each unit that is lacking between them, and more in any case [m].
+FURTHER, SPARE = 1.25, 1e-4
+#: Part of the velocity limits that is left free where they were exceeded between points.
+SLOWER = 2e-3
+#: Part of the velocity limits beyond them from which a pace that was given is refused.
+TOO_FAST = 1e-3
+#: Part of the velocity limits at points from which they may be exceeded between them.
+BRISK = 0.95
 
 
 @checked
@@ -137,9 +149,9 @@ def plan(
 
 
 def _finished(search: Search, q: Array, status: str, timed: bool, began: float, seed: int) -> Plan:
-    """The plan through joints at the points, finer or further from solids where it is not clear between these."""
+    """The plan through joints at the points, more and tighter ones where between them something is not kept."""
     best: Plan | None = None
-    problem, task = search.problem, search.problem.manifold.task
+    least, problem, task = np.inf, search.problem, search.problem.manifold.task
     for looked in range(FINER + 1):
         grid = search.grid
         made = Plan(task, grid.path, *grid.knots(q, problem.again(q)), grid.closed, status, {})
@@ -151,18 +163,50 @@ def _finished(search: Search, q: Array, status: str, timed: bool, began: float, 
             unclear = error
             again = search.finer(q)
         else:
-            lacking = 0.0 if (least := info["clearance_between_min"]) is None else problem.gap - least
-            if best is None or least > best.info["clearance_between_min"]:
-                best = replace(made, info=info, jumps=tuple(search.jumps(q)))
-            if lacking > 0.0 and status == "planned" and not search.reconfigurations:
+            clear = info["clearance_between_min"]
+            lacking = 0.0 if clear is None else max(problem.gap - clear, 0.0)
+            fast = _fast(made, info) if timed and not search.reconfigurations else 0.0
+            short = lacking + max(fast - 1.0, 0.0)
+            if short < least:
+                best, least = replace(made, info=info, jumps=tuple(search.jumps(q))), short
+            if short > 0.0 and status == "planned" and not search.reconfigurations:
                 # A chord cuts the corner of a box: less with more points, and the rest is kept clear of by distance.
-                again = search.clearer(q, lacking) if looked else search.finer(q)
+                again = search.finer(q) if lacking and not looked else _tighter(search, q, lacking, fast)
         if again is None:
             break
         q = again
     if best is None:
         raise unclear
+    if timed and status == "planned" and (best.info["velocity_part_max"] or 0.0) > 1.0 + TOO_FAST:
+        check_limits(best, MotionLimits.of(best.robot))
     return best
+
+
+def _tighter(search: Search, q: Array, lacking: float, fast: float) -> Array | None:
+    """Joints with more distance, by the one that is lacking between points, and slower; or at more points; or None."""
+    before = search.problem, search.step
+    if lacking > 0.0:
+        search.problem = replace(search.problem, gap=search.problem.gap + FURTHER * lacking + SPARE)
+    if search.step is not None and fast > 1.0:
+        search.step = search.step / (fast + SLOWER)
+    kept = mended(search.course, q).q
+    if kept is not None:
+        return refine(search.course, kept)
+    search.problem, search.step = before
+    return search.finer(q)
+
+
+def _fast(plan: Plan, info: dict[str, Any]) -> float:
+    """Part of the velocity limits that a plan uses between its points, too; written into its figures."""
+    part = info["velocity_part_max"] or 0.0
+    if part <= BRISK or (use := limit_use(plan).velocity) is None:
+        return part
+    info["velocity_part_max"] = use.ratio
+    if use.ratio > 1.0 + 1e-6:
+        info["message"] = f"{info['message']}; " * bool(info["message"]) + (
+            f"between way points, at {use.t:.4g} s, {use.joint!r} is {use.ratio:.4g} times as fast as it may be"
+        )
+    return use.ratio
 
 
 def _rows(guess: Array | Sequence[VectorLike], shape: tuple[int, int]) -> Array:

@@ -472,6 +472,10 @@ def test_track_follows_a_plan_and_reports_its_distance(tmp_path, round_trip, cap
     assert "joints off the plan, at most" in capsys.readouterr().out
     assert main(["track", "xarm7", "--plan", str(file)]) == 2
     assert "other joints" in capsys.readouterr().err
+    tools = ["--frame", "panda_link8"], ["--tool", "0", "0", "0.1"]
+    for words, reason in zip(tools, ("the frame 'panda_hand_tcp', not for", "other frames or tools"), strict=True):
+        assert main(["track", "panda", "--plan", str(file), *words]) == 2
+        assert reason in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.usefixtures("quick_pictures")

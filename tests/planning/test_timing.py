@@ -161,6 +161,14 @@ def test_plan_within_limits_of_acceleration_is_refused_or_slowed_down(panda):
     assert 0.45 < np.abs(ddq).max() <= 0.5 + 1e-6
 
 
+def test_plan_at_a_given_pace_keeps_velocity_limits_between_its_points(panda):
+    found = plan(PositionTask(panda, "panda_hand_tcp"), circle([0.55, 0.0, 0.4], 0.1, period=0.45))
+    dq = np.array([found(t).dq for t in np.linspace(found.start, found.end, 1500)])
+    part = (np.abs(dq) / panda.velocity).max()
+    assert 0.99 < part <= 1.0
+    assert found.info["velocity_part_max"] == pytest.approx(part, abs=1e-4)
+
+
 def test_pace_has_the_derivatives_of_its_nodes():
     times = np.array([1.0, 1.5, 2.6])
     pace = Pace(times, np.array([0.0, 1.0, 2.0]), np.array([1.0, 2.0, 0.5]), np.array([0.0, 3.0, -1.0]))
