@@ -159,7 +159,7 @@ def _advice(robot: RobotOptions, task: TaskOptions, found: Findings) -> list[str
         return []
     words += "" if found.task.lengths else " --path hold"
     if "dynamics" in found.cannot:
-        return [f"Try: eos-pin ik {words}"]
+        return [f"Try: eos-pin ik {command_words(robot, task)}", f"Try: eos-pin track {words} --command position"]
     return [f"Try: eos-pin track {words}"]
 
 

@@ -27,6 +27,8 @@ NEIGHBOURS = 12
 INCOMING = 4
 #: Self-motion shorter than this is not looked at halfway.
 SHORT = 0.12
+#: Pieces of a step in which postures without self-motion are led on where the whole step does not lead.
+PIECES = 32
 #: Called with the number of layers done; it may raise to stop.
 Ticked: TypeAlias = Callable[[int], None]
 #: Odd numbers that make one of the coordinates of a cell.
@@ -217,11 +219,27 @@ class Layers:
 
     def _continued(self, Q: Array, following: int) -> tuple[Array, Array]:
         """Postures of the next layer to which the shortest motions lead, NaN where there is none."""
-        there, found = self.problem.manifold.project(Q, self.Z[following][:, None])
+        goal = self.Z[following]
+        there, found = self.problem.manifold.project(Q, goal[:, None])
+        if not self.problem.r and not found.all():
+            # Close to a singularity joints go far in a short step, and without self-motion nothing else leads on.
+            lost = np.flatnonzero(~found)
+            there[:, lost], found[lost] = self._led(Q[:, lost], self.Z[following - 1], goal)
         # A long way for a short step of the task is a jump to another branch.
         found &= (np.abs(there - Q) / self.problem.scale[:, None]).max(axis=0) < 1.0
         there[:, ~found] = np.nan
         return there, found
+
+    def _led(self, Q: Array, z: Array, goal: Array) -> tuple[Array, Array]:
+        """Continuations in small pieces of the way from one task point to the next, and whether they were found."""
+        manifold, Q, found = self.problem.manifold, Q.copy(), np.ones(Q.shape[1], bool)
+        way = manifold.task._minus(goal, z)
+        for part in np.arange(1, PIECES + 1) / PIECES:
+            live = np.flatnonzero(found)
+            if not live.size:
+                break
+            Q[:, live], found[live] = manifold.project(Q[:, live], manifold.task._plus(z, part * way)[:, None])
+        return Q, found
 
     def _candidates(self, old: Array, live: Array, there: Array, found: Array, k: int, layer: int) -> Array:
         problem = self.problem

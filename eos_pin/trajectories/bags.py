@@ -111,8 +111,11 @@ def read_bag(path: str | Path, *, topic: str = "", joints: Sequence[str] = ()) -
                 )
             chosen = [c for c in found if c.topic == (topic or names[0])]
             messages = [ros.types.deserialize_cdr(raw, c.msgtype) for c, _, raw in reader.messages(chosen)]
-    except (OSError, ros.ReaderError) as error:
-        raise InputError(f"{path} cannot be read as a bag: {error}") from error
+    except InputError:
+        raise
+    except Exception as error:
+        # A damaged file ends the reader in many ways.
+        raise InputError(f"{path} cannot be read as a bag: {error or type(error).__name__}") from error
     joints = tuple(joints) or tuple(messages[0].name if messages else ())
     messages = [message for message in messages if set(joints) <= set(message.name)]
     if not messages or not joints:
@@ -163,11 +166,9 @@ def _write(ros: SimpleNamespace, path: Path, motion: JointMotion) -> None:
 def _ros() -> Any:
     """The parts of rosbags that are used here."""
     try:
-        from rosbags.rosbag2 import Reader, ReaderError, StoragePlugin, Writer
+        from rosbags.rosbag2 import Reader, StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise MissingDependencyError("a bag of ROS 2", "rosbags", "pip install 'eos-pin[ros]'") from error
     types = get_typestore(Stores.ROS2_HUMBLE)
-    return SimpleNamespace(
-        Reader=Reader, ReaderError=ReaderError, StoragePlugin=StoragePlugin, Writer=Writer, types=types
-    )
+    return SimpleNamespace(Reader=Reader, StoragePlugin=StoragePlugin, Writer=Writer, types=types)

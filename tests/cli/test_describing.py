@@ -60,6 +60,7 @@ def test_info_names_links_without_inertia(capsys):
     assert "No dynamics, so no control" in said
     assert "give mass and inertia to links l1, l2, l3, l4, l5, tip" in said
     assert "Try: eos-pin ik arm.urdf" in said
+    assert "Try: eos-pin track arm.urdf --command position" in said
     assert main(["ik", "arm.urdf", "--to", "0.3", "0.2", "1.0", "--json", "ik.json"]) == 0
     assert json.loads(Path("ik.json").read_text())["task_error_max"] < 1e-9
     assert main(["track", "arm.urdf"]) == 2

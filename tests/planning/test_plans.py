@@ -509,3 +509,14 @@ def test_track_warns_that_held_self_motion_will_not_repeat_and_plans_it(tmp_path
     assert figures["chart_switches"] > 0
     assert figures["joint_drift_per_cycle"][0] < 1e-6
     assert figures["joint_distance"]["max"] < 1e-6
+
+
+def test_plan_of_all_joints_leads_on_where_they_go_far_close_to_a_singularity():
+    kinova = load_robot("kinova", chain_to="j2s6s200_end_effector")
+    task = PoseTask(kinova, "j2s6s200_end_effector")
+    start, end = [0.594, 3.898, 5.556, 0.939, 2.118, -1.306], [2.771, 3.839, 5.554, -1.0, 1.935, 1.452]
+    z = task.value(start)
+    way = task.minus(task.value(end), z)
+    found = plan(task, [task.plus(z, part * way) for part in np.linspace(0.0, 1.0, 28)], start=start)
+    assert np.abs(found.q[-1] - end).max() < 1e-9
+    assert min(np.linalg.svd(task.linearize(q)[1], compute_uv=False)[-1] for q in found.q) < 1e-2

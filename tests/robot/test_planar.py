@@ -180,3 +180,42 @@ def test_robot_from_mjcf_has_the_masses_and_frames_of_mujoco(tmp_path):
     again = eos.load_robot(robot.source, **robot.options)
     assert np.allclose(again.mass(np.ones(3)), robot.mass(np.ones(3)), atol=EXACT)
     assert eos.load_robot(tmp_path / "lamp.xml", lock={"nod": 0.2}).n == 2
+
+
+def test_mjcf_and_urdf_of_one_robot_agree(tmp_path):
+    """The lamp again, as a URDF; armatures are none there."""
+    pytest.importorskip("mujoco")
+
+    def link(name, mass, place, *inertia):
+        terms = " ".join(f'{key}="{x}"' for key, x in zip(("ixx", "iyy", "izz"), inertia, strict=True))
+        inertial = f'<inertial><origin xyz="{place}"/><mass value="{mass}"/><inertia {terms} ixy="0" ixz="0" iyz="0"/>'
+        return f'<link name="{name}">{inertial}</inertial></link>'
+
+    def joint(name, kind, parent, child, origin, axis, limit):
+        return (
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin {origin}/>'
+            f'<axis xyz="{axis}"/><limit {limit} velocity="9" effort="20"/></joint>'
+        )
+
+    text = (
+        '<robot name="lamp"><link name="world_link"/>'
+        + link("post", 2, "0 0 0.1", 0.1, 0.2, 0.15)
+        + link("beam", 1, "0.2 0 0", 0.02, 0.1, 0.1)
+        + link("head", 0.5, "0 0 -0.1", 0.01, 0.01, 0.02)
+        + joint(
+            "swing", "revolute", "world_link", "post", 'xyz="0.1 0 0.2" rpy="0.3 0 0"', "0 0 1", 'lower="-2" upper="2"'
+        )
+        + joint("reach", "prismatic", "post", "beam", 'xyz="0.4 0 0"', "1 0 0", 'lower="0" upper="0.5"')
+        + joint("nod", "continuous", "beam", "head", 'xyz="0.3 0.1 0"', "0 0.6 0.8", "")
+        + "</robot>"
+    )
+    (tmp_path / "lamp.xml").write_text(MJCF.replace(' armature="0.01"', ""))
+    robot, other = eos.load_robot(tmp_path / "lamp.xml", chain_to="head"), eos.load_robot(text, chain_to="head")
+    assert robot.joint_names == other.joint_names
+    for limit in ("lower", "upper"):
+        np.testing.assert_array_equal(getattr(robot, limit), getattr(other, limit))
+    for q, dq in np.random.default_rng(3).uniform(-1.0, 1.0, (5, 2, 3)):
+        np.testing.assert_allclose(robot.mass(q), other.mass(q), atol=1e3 * EXACT)
+        np.testing.assert_allclose(robot.bias(q, dq), other.bias(q, dq), atol=1e3 * EXACT)
+        ends = (each.placement(q, "head").homogeneous for each in (robot, other))
+        np.testing.assert_allclose(*ends, atol=1e2 * EXACT)

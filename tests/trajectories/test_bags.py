@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from pathlib import Path
 
@@ -72,11 +73,26 @@ def test_file_that_is_no_bag_is_refused_and_left_alone(motion: JointMotion, tmp_
     (bag / "run.mcap").write_bytes(b"nonsense")
     with pytest.raises(InputError, match="cannot be read as a bag"):
         read_bag(bag)
+    (bag / "metadata.yaml").write_bytes(bytes(range(128, 256)))
+    with pytest.raises(InputError, match="cannot be read as a bag"):
+        read_bag(bag)
     (bag / "metadata.yaml").write_text("a: [")
     with pytest.raises(InputError, match="cannot be read as a bag"):
         read_bag(bag)
     with pytest.raises(InputError, match="time 0"):
         write_bag(tmp_path / "early", JointMotion(motion.joints, motion.t - 1.0, motion.q))
+
+
+def test_damaged_bag_is_read_or_refused(motion: JointMotion, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "run", motion)
+    whole, random = (bag / "run.mcap").read_bytes(), np.random.default_rng(0)
+    for _ in range(60):
+        damaged = bytearray(whole)
+        for place in random.integers(len(whole), size=3):
+            damaged[place] = random.integers(256)
+        (bag / "run.mcap").write_bytes(damaged[: random.integers(len(whole) // 2, len(whole) + 1)])
+        with contextlib.suppress(InputError):
+            read_bag(bag)
 
 
 def test_missing_rosbags_is_named_with_its_command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
