@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from jaxtyping import Float
 
 from eos_pin._arrays import (
+    Array,
     Jacobian,
     JointVector,
     TaskVector,
+    Vector,
     checked,
     vector,
 )
 from eos_pin._kernels.flat import Part
+from eos_pin._kernels.kinematics import Kinematics
 from eos_pin.errors import InputError, UnknownNameError
 from eos_pin.robot.model import Robot
 from eos_pin.tasks._balls import Ball
@@ -109,6 +114,50 @@ class StackedTask(Task, kind="stacked"):
             for ball in task.balls()
         )
 
+    # -- parts with tolerances ---------------------------------------------------------------------------------------
+
+    @cached_property
+    def whole(self) -> Task:
+        """Stack of the whole tasks; itself where no part has a tolerance."""
+        if all(task.whole is task for task in self.tasks):
+            return self
+        return StackedTask([task.whole for task in self.tasks])
+
+    @cached_property
+    def tracked(self) -> Task:
+        """Stack of the tracked coordinates of the parts; itself where no part has a tolerance."""
+        parts: list[Any] = list(self.tasks)
+        return self if self.whole is self else StackedTask([p if p.whole is p else p.tracked for p in parts])
+
+    def _seen(self, z: Array) -> Array:
+        """Point of the tracked stack, of a point of this one; several in rows."""
+        parts: list[tuple[Any, slice, slice]] = self._slices
+        seen = [z[..., p] if task.whole is task else task._seen(z[..., p]) for task, p, _ in parts]
+        return np.concatenate(seen, axis=-1)
+
+    @cached_property
+    def kinematics(self) -> Kinematics:
+        return Kinematics(self) if self.whole is self else TrackedKinematics(self)
+
+    @property
+    def bands(self) -> tuple[str, ...]:
+        """Names of the bands of all parts, with the number of the part where two have the same."""
+        names = [(name, i) for i, task in enumerate(self.tasks, 1) for name in task.bands]
+        alone = len({name for name, _ in names}) == len(names)
+        return tuple(name if alone else f"{name}{i}" for name, i in names)
+
+    def used(self, z: Float[Array, "K size"], targets: Float[Array, "#K size"]) -> Float[Array, "K B 2"]:
+        return np.concatenate([task.used(z[:, p], targets[:, p]) for task, p, _ in self._slices], axis=1)
+
+    def _rates(self, z: Array, dz: Array, ddz: Array) -> tuple[Array, Array]:
+        parts, start = [], 0
+        for task, p, _ in self._slices:
+            of_part = slice(start, start := start + task.whole.m)
+            parts.append(task._rates(z[:, p], dz[:, of_part], ddz[:, of_part]))
+        return tuple(map(np.hstack, zip(*parts, strict=True)))  # type: ignore[return-value]
+
+    # -- points ------------------------------------------------------------------------------------------------------
+
     def minus(self, z1: Point, z0: Point) -> TaskVector:
         return np.concatenate([task._minus(z1[p], z0[p]) for task, p, _ in self._slices])
 
@@ -146,6 +195,27 @@ class StackedTask(Task, kind="stacked"):
 
     def describe(self) -> dict[str, Any]:
         return {"kind": "stacked", "tasks": [task.describe() for task in self.tasks]}
+
+
+class TrackedKinematics(Kinematics):
+    """Kinematics of the tracked coordinates, with points of the whole task."""
+
+    def __init__(self, task: Any) -> None:
+        super().__init__(task.tracked)
+        self._whole, self._seen = task.whole.kinematics, task._seen
+
+    def value(self, Q: Array) -> Float[Array, "K size"]:
+        return self._whole.value(Q)
+
+    def linearize(self, Q: Array) -> tuple[Float[Array, "K size"], Float[Array, "K m n"]]:
+        return self.value(Q), super().linearize(Q)[1]
+
+    def search(self, q: JointVector, z: Vector, *arguments: Any, **options: Any) -> tuple[JointVector, float]:
+        return super().search(q, self._one(z), *arguments, **options)
+
+    def _points(self, Z: Array) -> Float[Array, "K size"]:
+        Z = np.atleast_2d(Z)
+        return super()._points(self._seen(Z) if Z.shape[1] == self._whole.size else Z)
 
 
 @checked

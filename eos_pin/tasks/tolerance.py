@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from eos_pin._arrays import Array, Jacobian, JointVector, TaskVector, Vector, checked, number
+from eos_pin._arrays import Array, Jacobian, TaskVector, Vector, checked, number
 from eos_pin._kernels.kinematics import Kinematics
 from eos_pin.errors import InputError
 from eos_pin.tasks import _sphere
@@ -20,7 +20,7 @@ from eos_pin.tasks.axis import AxisTask, PointAxisTask
 from eos_pin.tasks.base import Channel, Point, PointLike, Task
 from eos_pin.tasks.orientation import OrientationTask, PoseTask
 from eos_pin.tasks.position import PositionTask
-from eos_pin.tasks.stacked import StackedTask
+from eos_pin.tasks.stacked import StackedTask, TrackedKinematics
 from eos_pin.tasks.target import Target
 
 #: Rotations about an axis of the frame, by name.
@@ -220,7 +220,7 @@ class ToleranceTask(Task, kind="tolerance"):
 
     @cached_property
     def kinematics(self) -> Kinematics:
-        return _Kinematics(self)
+        return TrackedKinematics(self)
 
     @checked
     def point(self, value: PointLike) -> Point:
@@ -231,27 +231,6 @@ class ToleranceTask(Task, kind="tolerance"):
 
     def __repr__(self) -> str:
         return f"ToleranceTask({self.whole!r}, {self.tolerance})"
-
-
-class _Kinematics(Kinematics):
-    """Kinematics of the tracked coordinates, with points of the whole task."""
-
-    def __init__(self, task: ToleranceTask) -> None:
-        super().__init__(task.tracked)
-        self._whole, self._seen = task.whole.kinematics, task._seen
-
-    def value(self, Q: Array) -> Float[Array, "K size"]:
-        return self._whole.value(Q)
-
-    def linearize(self, Q: Array) -> tuple[Float[Array, "K size"], Float[Array, "K m n"]]:
-        return self.value(Q), super().linearize(Q)[1]
-
-    def search(self, q: JointVector, z: Vector, *arguments: Any, **options: Any) -> tuple[JointVector, float]:
-        return super().search(q, self._one(z), *arguments, **options)
-
-    def _points(self, Z: Array) -> Float[Array, "K size"]:
-        Z = np.atleast_2d(Z)
-        return super()._points(self._seen(Z) if Z.shape[1] == self._whole.size else Z)
 
 
 def _tilt(along: Float[Array, "K 2"], cosine: Vector) -> Float[Array, "K 2"]:

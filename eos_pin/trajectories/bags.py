@@ -115,7 +115,7 @@ def read_bag(path: str | Path, *, topic: str = "", joints: Sequence[str] = ()) -
         raise
     except Exception as error:
         # A damaged file ends the reader in many ways.
-        raise InputError(f"{path} cannot be read as a bag: {error or type(error).__name__}") from error
+        raise InputError(f"{path} cannot be read as a bag: {str(error) or type(error).__name__}") from error
     joints = tuple(joints) or tuple(messages[0].name if messages else ())
     messages = [message for message in messages if set(joints) <= set(message.name)]
     if not messages or not joints:

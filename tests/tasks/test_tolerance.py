@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from checks import REST
 
 from eos_pin import (
     AxisTask,
@@ -26,6 +27,7 @@ from eos_pin import (
     PointAxisTask,
     PoseTask,
     PositionTask,
+    StackedTask,
     TaskForce,
     ToleranceTask,
     Tool,
@@ -257,3 +259,23 @@ def test_smallest_change_within_bands_is_that_of_a_general_solver():
         kept = {"type": "ineq", "fun": lambda x, rows=rows, most=most: most - rows @ x}
         expected = minimize(lambda x: 0.5 * x @ x, np.zeros(3), jac=lambda x: x, constraints=[kept]).x
         np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_stack_keeps_the_bands_of_its_parts(panda, unchecked):
+    hand = OrientationTask(panda, "panda_hand_tcp")
+    task = StackedTask([ToleranceTask(hand, {"rz": 0.2}), PositionTask(panda, "panda_hand_tcp")])
+    assert (task.m, task.bands) == (5, ("rz",))
+    two = StackedTask([ToleranceTask(hand, {"rz": 0.2}), ToleranceTask(hand, {"rz": 0.1})])
+    assert two.bands == ("rz1", "rz2")
+    z, s = np.tile(task.value(REST), (9, 1)), np.linspace(0.0, np.pi, 9)
+    z[:, :9] = [(z[0, :9].reshape(3, 3) @ pin.exp3(np.array([0.0, 0.0, 0.4 * np.sin(x)]))).ravel() for x in s]
+    z[:, -2] += 0.1 * np.sin(s)
+    found = plan(task, z)
+    run = simulate_kinematic(KinematicLoop(task, found.path, control_period=0.01), found(0.0).q, duration=found.end)
+    assert np.abs(run.error[-1]).max() < 1e-9
+    for joints, t in (*zip(found.q, found.times, strict=True), *zip(run.q, run.t, strict=True)):
+        R, target = panda.placement(joints, "panda_hand_tcp").rotation, found.path(t).z[:9].reshape(3, 3)
+        # A command that is held for a period may be a hair beyond the edge.
+        assert np.linalg.norm(pin.log3(target.T @ R)) < 0.202
+    assert task.kinematics.compiled
+    assert task_from_description(panda, task.describe()).bands == task.bands
