@@ -133,7 +133,7 @@ def _ratios(verdicts: Sequence[Verdict], laws: Sequence[str]) -> str:
         cells = []
         for v in verdicts:
             s = next(s for s in v.standings if s.law == law)
-            text = f"{s.to_eos:.2f}" if s.to_eos < 100.0 else "> 100" if s.to_eos >= 100.0 else ""
+            text = f"{s.to_eos:.2f}" if s.to_eos < 100.0 else ">100" if s.to_eos >= 100.0 else ""
             mark = "‡" if s.lost * 2 >= v.pairs else "†" if s.lost else ""
             cells.append((f"**{text}**" if s.best and v.decided else text) + mark)
         lines.append(f"| {_title(law)} | " + " | ".join(cells) + " |")
