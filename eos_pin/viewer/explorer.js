@@ -18,7 +18,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
     #panel h2 { font-size: 14px; margin: 14px 0 4px; }
     #panel h2 select { min-height: 28px; padding: 0 4px; }
     #panel h2:first-child { margin-top: 0; }
-    #panel .row { display: grid; grid-template-columns: 2.6em 1fr 5.6em; align-items: center; gap: 8px; min-height: 26px; }
+    #panel .row { display: grid; grid-template-columns: 2.6em minmax(4em, 1fr) minmax(5.6em, max-content); align-items: center; gap: 8px; min-height: 26px; }
     #panel input[type=range] { width: 100%; height: 24px; margin: 0; accent-color: var(--accent); cursor: pointer; }
     #panel output, #panel td:last-child { font-variant-numeric: tabular-nums; text-align: right; white-space: nowrap; }
     #panel table { width: 100%; border-collapse: collapse; }
@@ -82,32 +82,30 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   said.setAttribute("role", "status");
 
   const map = document.createElement("canvas"), chosen = [], loopy = robot.r === 1, head = add("h2", loopy ? "Its loop, by " : "Map of ");
-  const choose = (label, options, first) => {
+  const choose = (label, options, first, changed) => {
     const made = add("select", "", head);
     made.setAttribute("aria-label", label);
     for (const [name, text] of options) add("option", text, made).value = name;
     made.value = first;
-    made.onchange = () => { if (loopy) { paint(); drawMap(); show(); } else look(); };
-    chosen.push(made);
+    made.onchange = changed;
+    return made;
   };
-  if (loopy) choose("Quantity along the loop, as height and colour", [...data.weighs ? [["energy", "potential energy"], ["torque", "gravity torque"], ["coupling", "inertial coupling"]] : [], ["manipulability", "manipulability"],
-    ["margin", "margin of the chart"], ...data.capsules.pairs.length ? [["apart", "distance of links"]] : []], data.weighs ? "energy" : "manipulability");
-  else for (const k of [0, 1]) {
+  if (!loopy) for (const k of [0, 1]) {
     if (k) head.append(" and ");
-    choose(k ? "Upward coordinate of the map" : "Rightward coordinate of the map", Array.from({ length: robot.r }, (_, i) => [i, `v${i + 1}`]), k);
+    chosen.push(choose(k ? "Upward coordinate of the map" : "Rightward coordinate of the map", Array.from({ length: robot.r }, (_, i) => [i, `v${i + 1}`]), k, look));
   }
+  if (!loopy) head.append(", by ");
+  const by = choose(loopy ? "Quantity along the loop, as height and colour" : "Quantity as colour", [...data.weighs ? [["energy", "potential energy"], ["torque", "gravity torque"], ["coupling", "inertial coupling"]] : [], ["manipulability", "manipulability"],
+    ["margin", "margin of the chart"], ...data.capsules.pairs.length ? [["apart", "distance of links"]] : []], data.weighs ? "energy" : "manipulability", () => { if (loopy) { paint(); drawMap(); show(); } else drawSurvey(); });
   map.id = "map";
   map.setAttribute("role", "img");
   map.setAttribute("aria-label", loopy ? "Postures at this task point, along the curve of the self-motion" : "Postures at this task point, over two coordinates of v");
   panel.append(map);
-  // The colours of the loop from the least value to the greatest; people who do not see them read the height.
-  const ramp = `linear-gradient(to right, ${data.colours.join(", ")})`, ends = [];
-  if (loopy) {
-    const scale = add("div", "", panel, "scale");
-    ends.push(add("span", "", scale));
-    add("i", "", scale).style.background = ramp;
-    ends.push(add("span", "", scale));
-  }
+  // The colours from the least value to the greatest, from dark to bright; along a loop it is read from the height, too.
+  const ramp = `linear-gradient(to right, ${data.colours.join(", ")})`, ends = [], scale = add("div", "", panel, "scale");
+  ends.push(add("span", "", scale));
+  add("i", "", scale).style.background = ramp;
+  ends.push(add("span", "", scale));
   const key = add("p", "", panel, "key");
   for (const [kind, text] of [["limit", "beyond a joint limit"], ["touch", "links touch"], ["singular", "near singular"], ...loopy ? [] : [["edge", "beyond the chart"]]]) {
     const item = add("span", "", key), swatch = document.createElement("canvas");
@@ -193,7 +191,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
 
   const matrix = new THREE.Matrix4(), quaternion = new THREE.Quaternion(), where = new Float64Array(robot.n * 12);
   let traced = null, drawnFor = null, pictured = 0;
-  const state = window.explorer = { robot, posture, go, jump, handles, milliseconds: 0, rate: 0, loop: () => traced, idle: () => Boolean(traced || surveyed) && !looking };
+  const state = window.explorer = { robot, posture, go, jump, handles, milliseconds: 0, rate: 0, loop: () => traced, map: () => surveyed, idle: () => Boolean(traced || surveyed) && !looking };
 
   /** Bring the picture and the numbers up to where the posture is. */
   function update(began = performance.now()) {
@@ -274,14 +272,21 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   }
   function* views() { while (stale) { stale = false; yield* loopy ? retrace() : survey(); } }
 
+  /** Kind of a posture, and the quantities that are shown as colour, after `place`. */
+  function measured(q, J, chart) {
+    const { value, ratio } = robot.manipulability(J), { energy, torque } = robot.gravityLoad(), apart = robot.clearance();
+    const coupling = data.weighs ? robot.coupling(J) : 0;
+    return { kind: kindOf(q, apart, ratio), measures: { energy, torque: load(torque).used, manipulability: value, margin: chart.margin(J), apart, coupling } };
+  }
+
   // -- the loop ----------------------------------------------------------------------------------------------------------
   function* retrace() {
     const { z, chart } = posture, found = yield* Kinematics.trace(robot, posture.q, z);
     Object.assign(found, { kinds: [], heights: [], places: [] });
     for (const q of found.nodes) {
-      const { J } = robot.evaluate(q), { value, ratio } = robot.manipulability(J), { energy, torque } = robot.gravityLoad(), apart = robot.clearance();
-      found.kinds.push(kindOf(q, apart, ratio));
-      found.heights.push({ energy, torque: load(torque).used, manipulability: value, margin: chart.margin(J), apart, coupling: data.weighs ? robot.coupling(J) : 0 });
+      const { kind, measures } = measured(q, robot.evaluate(q).J, chart);
+      found.kinds.push(kind);
+      found.heights.push(measures);
       found.places.push(Array.from(robot.carried(data.elbow.joint, data.elbow.place).subarray(9)));
       yield;
     }
@@ -307,27 +312,31 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
     drawMap();
     show();
   }
-  /** Chosen quantity at each node, its least and its greatest value, and whether it is level but for rounding. */
-  function quantity() {
-    const heights = traced.heights.map(each => each[chosen[0].value]), least = Math.min(...heights), most = Math.max(...heights);
+  /** Chosen quantity at each posture, its least and its greatest value, and whether it is level but for rounding. */
+  function quantity(all) {
+    const heights = all.map(each => each[by.value]), least = Math.min(...heights), most = Math.max(...heights);
+    const unit = { energy: " J", torque: data.effort.every(Boolean) ? " of the limit" : robot.prismatic.some(Boolean) ? " N m or N" : " N m", apart: " m" }[by.value] ?? "";
+    ends.forEach((end, k) => { end.textContent = `${Number([least, most][k].toPrecision(3))}${unit}`; });
     return { heights, least, most, level: most - least < 1e-6 * Math.max(1, Math.abs(most)) };
+  }
+  /** Colour of a part of the way from the least value to the greatest. */
+  function shaded(part) {
+    const last = shades.length - 1, x = last * part, low = Math.min(Math.floor(x), last - 1);
+    return shade.lerpColors(shades[low], shades[low + 1], x - low);
   }
   const shades = data.colours.map(colour => new THREE.Color(colour).convertSRGBToLinear()), shade = new THREE.Color();
   /** Colour the loop in the picture by the chosen quantity. */
   function paint() {
     if (!traced) return;
-    const { heights, least, most, level } = quantity(), last = shades.length - 1;
+    const { heights, least, most, level } = quantity(traced.heights);
     for (const { tube: { mesh, count, points, room }, from } of ribbons) {
       const around = points.length / (3 * room), colours = new Float32Array(points.length);
       for (let k = 0; k < count; k++) {
-        const x = level ? 0 : last * (heights[from + k] - least) / (most - least), low = Math.min(Math.floor(x), last - 1);
-        shade.lerpColors(shades[low], shades[low + 1], x - low);
+        shaded(level ? 0 : (heights[from + k] - least) / (most - least));
         for (let side = 0; side < around; side++) shade.toArray(colours, 3 * (around * k + side));
       }
       mesh.geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
     }
-    const unit = { energy: " J", torque: data.effort.every(Boolean) ? " of the limit" : robot.prismatic.some(Boolean) ? " N m or N" : " N m", apart: " m" }[chosen[0].value] ?? "";
-    ends.forEach((end, k) => { end.textContent = `${Number([least, most][k].toPrecision(3))}${unit}`; });
   }
   /** Number of the node next to the posture, whole turns left aside; null where it is on another curve. */
   function nearest() {
@@ -363,7 +372,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   }
   function drawMap() {
     if (!traced || !map.clientWidth) return;
-    const { context, wide, tall } = sheet(), { s, kinds, closed } = traced, length = s[s.length - 1] || 1, { heights, least, most, level } = quantity(), span = level ? 1 : most - least;
+    const { context, wide, tall } = sheet(), { s, kinds, closed } = traced, length = s[s.length - 1] || 1, { heights, least, most, level } = quantity(traced.heights), span = level ? 1 : most - least;
     const x = k => 8 + (wide - 16) * s[k] / length, y = k => tall - 14 - (tall - 28) * (heights[k] - least) / span;
     for (let k = 0; k + 1 < s.length; k++) if (kinds[k]) {
       context.fillStyle = patterns[kinds[k]] ??= pattern(context, kinds[k]);
@@ -373,7 +382,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
     context.beginPath();
     s.forEach((_, k) => context.lineTo(x(k), y(k)));
     context.stroke();
-    if (chosen[0].value === "energy") for (let k = closed ? 0 : 1; k + 1 < s.length; k++) {
+    if (by.value === "energy") for (let k = closed ? 0 : 1; k + 1 < s.length; k++) {
       const before = heights[k ? k - 1 : s.length - 2], after = heights[k + 1], sense = Math.sign(heights[k] - before);
       if (!sense || sense !== Math.sign(heights[k] - after) || level) continue;
       context.beginPath();
@@ -401,7 +410,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   /** Kinds of posture over two coordinates of v, on the chart that the posture is on; from the middle outwards. */
   function* survey() {
     const [i, j] = chosen.map(each => Number(each.value)), { chart, z, u } = posture, v = Float64Array.from(posture.v), side = 2 * CELLS + 1;
-    const kinds = new Array(side * side).fill("edge"), known = new Map();
+    const kinds = new Array(side * side).fill("edge"), heights = new Array(side * side), known = new Map();
     const order = Array.from({ length: side * side }, (_, c) => [c % side - CELLS, Math.floor(c / side) - CELLS]).sort(([a, b], [c, d]) => a * a + b * b - c * c - d * d);
     for (const [a, b] of i === j ? [] : order) {
       yield;
@@ -414,19 +423,34 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
       if (!found || chart.margin(found.J) < .3) continue;
       known.set(`${a},${b}`, found.u);
       robot.place(found.q);
-      kinds[(b + CELLS) * side + a + CELLS] = kindOf(found.q, robot.clearance(), robot.manipulability(found.J).ratio);
+      const { kind, measures } = measured(found.q, found.J, chart), cell = (b + CELLS) * side + a + CELLS;
+      kinds[cell] = kind;
+      heights[cell] = measures;
     }
     yield NEXT_PICTURE;
-    surveyed = { i, j, chart, z, v, kinds };
+    surveyed = { i, j, chart, z, v, kinds, heights };
     drawSurvey();
+  }
+  /** Colours of the cells by the chosen quantity, found once for each. */
+  function cellColours() {
+    const { heights } = surveyed, known = heights.filter(Boolean);
+    if (surveyed.by === by.value || !known.length) return surveyed.colours ?? [];
+    const { least, most, level } = quantity(known), part = cell => level ? 0 : (cell[by.value] - least) / (most - least);
+    const colours = heights.map(cell => cell && `#${shaded(part(cell)).clone().convertLinearToSRGB().getHexString()}`);
+    return Object.assign(surveyed, { by: by.value, colours }).colours;
   }
   function drawSurvey() {
     if (!surveyed || !map.clientWidth) return;
-    const { context, wide, tall } = sheet(), { i, j, v, kinds, chart } = surveyed, side = 2 * CELLS + 1;
+    const { context, wide, tall } = sheet(), { i, j, v, kinds, chart } = surveyed, side = 2 * CELLS + 1, colours = cellColours();
     kinds.forEach((kind, c) => {
+      const box = [wide * (c % side) / side, tall * (1 - (Math.floor(c / side) + 1) / side), wide / side + .6, tall / side + .6];
+      if (colours[c]) {
+        context.fillStyle = colours[c];
+        context.fillRect(...box);
+      }
       if (!kind) return;
       context.fillStyle = patterns[kind] ??= pattern(context, kind);
-      context.fillRect(wide * (c % side) / side, tall * (1 - (Math.floor(c / side) + 1) / side), wide / side + .6, tall / side + .6);
+      context.fillRect(...box);
     });
     const x = wide * (.5 + (posture.v[i] - v[i]) / SPAN * CELLS / side), y = tall * (.5 - (posture.v[j] - v[j]) / SPAN * CELLS / side);
     if (chart !== posture.chart) return;

@@ -326,6 +326,30 @@ def test_explorer_moves_task_and_self_motion_by_hand(chromium: Chromium, written
 
 @MARKS[0]
 @MARKS[1]
+def test_explorer_colours_its_map_of_two_coordinates(unchecked: None, chromium: Chromium, tmp_path: Path) -> None:
+    task, q = made("planar_chain_10", "position")
+    page = chromium.open(write_explorer(tmp_path / "chain.html", task, q).as_uri())
+    wait_for(lambda: page.js("explorer.idle()"), 20.0)
+    cells = page.js("explorer.map().heights.map(h => h && h.margin)")
+    assert page.js("document.getElementById('panel').scrollWidth <= document.getElementById('panel').clientWidth")
+    page.js("{ const s = [...document.querySelectorAll('#panel h2 select')].pop(); s.value = 'margin'; s.onchange(); }")
+    shown = page.js("[...document.querySelectorAll('#panel .scale span')].map(each => Number(each.textContent))")
+    chart, z = Chart.from_base(task, q), task.value(q)
+    side = round(len(cells) ** 0.5)
+    own = {}
+    for k in (k for k, cell in enumerate(cells) if cell is not None):
+        v = np.zeros(8)
+        v[:2] = 1.5 * (np.array([k % side, k // side]) - side // 2) / (side // 2)
+        own[k] = chart.margin(task.linearize(chart.inverse(z, v).q)[1])
+    assert len(own) > 100
+    assert [cells[k] for k in own] == pytest.approx(list(own.values()), abs=1e-9)
+    assert shown == pytest.approx([min(own.values()), max(own.values())], rel=1e-2)
+    assert not page.troubles()
+    page.close()
+
+
+@MARKS[0]
+@MARKS[1]
 def test_explorer_tilts_the_axis_of_an_arm_with_six_joints(unchecked: None, chromium: Chromium, tmp_path: Path) -> None:
     task, q = made("ur5", "point-axis")
     page = chromium.open(write_explorer(tmp_path / "ur5.html", task, q).as_uri())
