@@ -122,7 +122,14 @@ def _find_out(robot: Robot, options: TaskOptions) -> Findings:
     try:
         task, q = options.make(robot, kept=True)
     except InputError as error:
-        named = options.q0 or options.axes or options.point or options.tolerance or options.further != "none"
+        named = (
+            options.q0
+            or options.axes
+            or options.combine
+            or options.point
+            or options.tolerance
+            or options.further != "none"
+        )
         if named or options.tool_axis != TaskOptions.tool_axis:
             # Asked for in so many words: a mistake in these is one of the caller.
             raise

@@ -95,12 +95,8 @@ REFUSED = [
     ("track panda --task pose --axes xy", "axes 'xy' do not apply to a task of pose"),
     ("track panda --task orientation --axes xy", "axes 'xy' do not apply to a task of orientation"),
     ("track ppr --task heading --axes xy", "axes 'xy' do not apply to a task of heading"),
-    ("info panda --seed 3", "--seed 3 does not apply"),
     ("info panda --csv a.csv", "--csv a.csv does not apply"),
-    ("ik panda --seed 3", "--seed 3 does not apply"),
     ("ik panda --to 0.4 0.1 0.5 --path a.csv", "--to and --path exclude each other"),
-    ("replay run.npz --seed 3", "--seed 3 does not apply"),
-    ("robots --seed 3", "--seed 3 does not apply"),
     ("robots --csv a.csv", "a list of robots cannot be drawn"),
     ("track ur5 --task pose --swing 0.1", "no self-motion to command: the task takes all joints (r = 0)"),
     ("track ur5 --task pose --self-motion posture", "no self-motion to command"),
@@ -228,8 +224,8 @@ REFUSED = [
         (f"analyze log.csv --robot panda {option}", told)
         for option, told in (
             ("--q0 1", "--q0 does not apply: the log has the joints"),
-            ("--seed 3", "--seed 3 does not apply: nothing is random"),
             ("--view", "--view does not apply: the run is over"),
+            ("--further axis", "--further does not apply"),
             ("--tolerance rz=0.2", "--tolerance does not apply: every coordinate of the task counts"),
             ("--task pose --axes xy", "axes 'xy' do not apply"),
             ("--tool-axis x", "a tool axis, 'x', does not apply"),
@@ -237,17 +233,26 @@ REFUSED = [
             ("--topic /joint_states", "topic '/joint_states' does not apply: log.csv is no bag"),
         )
     ),
+    *(
+        (f"{command} panda --task position --combine elbow=1", "combinations of joints are for the task joints")
+        for command in ("track", "compare", "plan", "info", "ik", "explore", "selfmotion", "rehearse")
+    ),
+    ("analyze log.csv --robot panda --combine elbow=1", "combinations of joints are for the task joints"),
+    *(
+        (f"{command} panda --task position --further axis", "leave out --further here")
+        for command in ("compare", "plan", "info", "ik", "explore", "selfmotion")
+    ),
     ("info panda --bag a.bag", "--bag a.bag does not apply"),
     ("info panda --rerun a.rrd", "--rerun a.rrd does not apply"),
 ]
 
 #: Options that count in every combination, by command: what is asked for, and files that are written.
 ROBOT, FILES = (
-    "robot frame lock package_dirs gravity tool payload point tolerance",
+    "robot frame seen_from lock package_dirs gravity tool payload point tolerance",
     "out json html plot csv view bag rerun",
 )
 ALWAYS = {
-    "track": f"{ROBOT} q0 duration controller plant control_rate model_error {FILES} plan scene",
+    "track": f"{ROBOT} q0 further duration controller plant control_rate model_error {FILES} plan scene",
     "compare": f"{ROBOT} task q0 path duration plant control_rate model_error {FILES}",
     "plan": f"{ROBOT} task q0 path closed scene self_collision margin joint_step start reconfigurations effort timing "
     f"acceleration torque_limits {FILES} seed save",
@@ -260,8 +265,8 @@ ALWAYS = {
     "demo": "robot html",
     "explore": f"{ROBOT} task q0 html",
     "selfmotion": f"{ROBOT} task q0 at out json plot seed",
-    "rehearse": f"{ROBOT} q0 task path duration controller command control_rate speed watchdog priority model_error "
-    "self_motion log json",
+    "rehearse": f"{ROBOT} q0 further task path duration controller command control_rate speed watchdog priority "
+    "model_error self_motion log json",
     "analyze": f"log {ROBOT} task period joints degrees {FILES}",
 }
 
