@@ -232,7 +232,7 @@ class Directions(Checked):
 
     def _solved(self, J: Jacobian, F: Array) -> Array:
         """Joint accelerations that `F` commands, a vector or a matrix of columns."""
-        A, b, lifted = self._parts(J, F)
+        A, b, lifted = self._system(J, F)
         _, _, x, info = lapack.dgesv(A, b)
         if info:
             raise ChartError(EDGE)
@@ -251,10 +251,6 @@ class Directions(Checked):
         Returns:
             A, b, and V F_v; the last is None where ddq is A⁻¹b. Q is `u_basis`.
         """
-        return self._parts(J, F)
-
-    def _parts(self, J: Jacobian, F: Array) -> tuple[Array, Array, Array | None]:
-        """The same for a vector or a matrix of columns."""
         n, m = self.U.shape
         if n <= DENSE:
             A = self._stacked

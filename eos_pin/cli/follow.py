@@ -46,8 +46,8 @@ def loaded_plan(
     from eos_pin.planning.plans import Plan
 
     plan = Plan.load(file, robot)
-    moved = getattr(plan.task, "frame", None)
-    if frame is not None and moved is not None and frame != moved:
+    moved = plan.task.frame
+    if frame is not None and frame != moved:
         raise InputError(
             f"{file} has a plan for the frame {moved!r}, not for {frame!r}; leave out --frame and --tool, or plan anew"
         )
