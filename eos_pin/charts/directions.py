@@ -231,7 +231,7 @@ class Directions(Checked):
         return found[:, 0], found[:, 1:]
 
     def _solved(self, J: Jacobian, F: Array) -> Array:
-        """Joint accelerations that `F` commands, a vector or a matrix of columns."""
+        """Joint accelerations that `F` commands, as `system` takes it."""
         A, b, lifted = self._system(J, F)
         _, _, x, info = lapack.dgesv(A, b)
         if info:
@@ -239,14 +239,14 @@ class Directions(Checked):
         return x if lifted is None else lifted + self.u_basis.dot(x)
 
     @checked
-    def system(self, J: Jacobian, F: JointVector) -> tuple[Array, Array, JointVector | None]:
+    def system(self, J: Jacobian, F: Float[Array, "n *columns"]) -> tuple[Array, Array, Array | None]:
         """Linear system for the joint acceleration that `F` commands: ddq is A⁻¹b, or V F_v + Q A⁻¹b for many joints.
 
         The second form needs no V that is written out: it is for chains of tens and hundreds of joints.
 
         Args:
             J: Jacobian G'(q).
-            F: Acceleration of w = (z, v), the task's part without its drift, (n,).
+            F: Acceleration of w = (z, v), the task's part without its drift, (n,), or several as columns.
 
         Returns:
             A, b, and V F_v; the last is None where ddq is A⁻¹b. Q is `u_basis`.
