@@ -231,15 +231,14 @@ class Directions(Checked):
         return found[:, 0], found[:, 1:]
 
     def _solved(self, J: Jacobian, F: Array) -> Array:
-        """Joint accelerations that `F` commands, as `system` takes it."""
+        """Joint accelerations that `F` commands, as `_system` takes it."""
         A, b, lifted = self._system(J, F)
         _, _, x, info = lapack.dgesv(A, b)
         if info:
             raise ChartError(EDGE)
         return x if lifted is None else lifted + self.u_basis.dot(x)
 
-    @checked
-    def system(self, J: Jacobian, F: Float[Array, "n *columns"]) -> tuple[Array, Array, Array | None]:
+    def _system(self, J: Jacobian, F: Float[Array, "n *columns"]) -> tuple[Array, Array, Array | None]:
         """Linear system for the joint acceleration that `F` commands: ddq is A⁻¹b, or V F_v + Q A⁻¹b for many joints.
 
         The second form needs no V that is written out: it is for chains of tens and hundreds of joints.
@@ -269,5 +268,4 @@ class Directions(Checked):
     _unwrap, _is_near, _room = unchecked(unwrap), unchecked(is_near), unchecked(room)
     _v, _u, _q, _dv, _along = unchecked(v), unchecked(u), unchecked(q), unchecked(dv), unchecked(along)
     _margin, _B = unchecked(margin), unchecked(B)
-    _acceleration, _system = unchecked(acceleration), unchecked(system)
-    _acceleration_and_basis = unchecked(acceleration_and_basis)
+    _acceleration, _acceleration_and_basis = unchecked(acceleration), unchecked(acceleration_and_basis)
