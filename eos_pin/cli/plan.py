@@ -28,6 +28,7 @@ from eos_pin.cli.output import (
     write_json,
     write_outputs,
 )
+from eos_pin.cli.tables import speed_at_ends
 from eos_pin.errors import InputError, PlanError
 from eos_pin.experiments.options import RobotOptions, TaskOptions
 from eos_pin.trajectories.corners import Corners
@@ -380,6 +381,8 @@ def _table(found: Plan) -> Any:
         if part is not None:
             table.add_row(f"largest part of a limit of {what}", f"{part:.4g}")
     table.add_row("chart switches at margin 0.5", str(info["switches"]))
+    if not found.closed:
+        table.add_row("joint speed at the ends", speed_at_ends(found(found.start).dq, found(found.end).dq))
     table.add_row("planning time", f"{info['seconds']:.2f} s")
     table.caption, table.caption_justify = KEY, "left"
     return table

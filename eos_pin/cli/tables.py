@@ -12,6 +12,10 @@ from rich.cells import cell_len
 from rich.markup import escape
 from rich.table import Table
 
+from eos_pin._arrays import JointVector
+
+#: A plan rests at its ends up to this speed [rad/s or m/s].
+RESTING = 1e-6
 #: Least width to which a column of words is narrowed.
 NARROW = 10
 
@@ -19,6 +23,14 @@ NARROW = 10
 def format_number(value: float | None) -> str:
     """Number with three digits; a dash if there is none."""
     return "-" if value is None or math.isnan(value) else f"{value:.3g}"
+
+
+def speed_at_ends(start: JointVector, end: JointVector) -> str:
+    """Largest speeds of joints where an open plan begins and ends, from which a robot at rest would be jerked."""
+    fast = [max(map(abs, dq.tolist())) for dq in (start, end)]
+    if max(fast) < RESTING:
+        return "at rest"
+    return f"{' and '.join(map(format_number, fast))} rad/s or m/s; --timing fastest begins and ends at rest"
 
 
 def drift_of_cycles(cycles: Sequence[float]) -> str:

@@ -9,13 +9,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
 from eos_pin.cli import output as report
 from eos_pin.cli.main import main
-from eos_pin.cli.tables import fitted, folded
+from eos_pin.cli.tables import fitted, folded, speed_at_ends
 
 URDF = Path(__file__).parents[2] / "robots" / "planar_chain_10.urdf"
 
@@ -109,3 +110,9 @@ def test_command_fits_80_columns_in_a_pipe():
     said = subprocess.run(words, capture_output=True, encoding="utf-8", env=environment, check=True).stdout
     assert max(map(cell_len, said.splitlines())) <= 80
     assert "…" not in said
+
+
+def test_speed_at_ends_comes_with_advice_unless_the_plan_rests():
+    rest, fast = np.zeros(2), np.array([0.1, -0.25])
+    assert speed_at_ends(rest, 1e-9 * fast) == "at rest"
+    assert speed_at_ends(fast, rest) == "0.25 and 0 rad/s or m/s; --timing fastest begins and ends at rest"
