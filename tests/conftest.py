@@ -13,7 +13,6 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import signal  # noqa: E402
 
 import hypothesis  # noqa: E402
-import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
 import typecheck  # noqa: E402
 
@@ -82,10 +81,8 @@ def chain():
 @pytest.fixture
 def unchecked():
     """Switch the run-time type checks off: for arguments of a wrong type, and for long runs."""
-    before = jaxtyping.config.jaxtyping_disable
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", before)
+    with typecheck.off():
+        yield
 
 
 @pytest.fixture

@@ -7,7 +7,8 @@ some of the later ones. A fault of types shows there as surely as in a thousand 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import jaxtyping
@@ -32,6 +33,17 @@ def begin() -> None:
     """Count the calls of a test from its start."""
     for count in _counts:
         count[0] = 0
+
+
+@contextmanager
+def off() -> Iterator[None]:
+    """Check nothing meanwhile: for arguments of a wrong type, and for long runs."""
+    before = jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", True)
+    try:
+        yield
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", before)
 
 
 def typecheck(function: Callable[..., Any]) -> Callable[..., Any]:

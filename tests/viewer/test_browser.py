@@ -21,7 +21,7 @@ from urllib.request import url2pathname
 import coal
 import numpy as np
 import pytest
-from browser import CHROMIUM, FLAGS, MARKS, Chromium, Page, wait_for
+from browser import CHROMIUM, FLAGS, MARKS, Chromium, Page, light, wait_for
 from PIL import Image
 
 from eos_pin.robot.model import Robot
@@ -39,19 +39,29 @@ def motion() -> tuple[np.ndarray, np.ndarray]:
     return t, rest + 0.4 * np.sin(0.2 * np.pi * t[:, None] * np.array([1, 2, 1, 2, 1, 2, 1]))
 
 
-@pytest.fixture(scope="module")
-def replay(panda: Robot, motion: tuple[np.ndarray, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> str:
+def written(robot: Robot, motion: tuple[np.ndarray, np.ndarray], path: Path) -> str:
+    """Address of a replay."""
     t, q = motion
-    path = tmp_path_factory.mktemp("replay") / "panda.html"
-    reference = np.array([panda.placement(each, "panda_hand").translation for each in q])
+    reference = np.array([robot.placement(each, "panda_hand").translation for each in q])
     scene = Scene(
-        panda,
+        robot,
         paths={"reference": reference},
         traces={"actual": "panda_hand"},
         obstacles=(Obstacle(coal.Sphere(0.08), [0.6, 0.4, 0.3], name="ball"),),
         title="panda </script> & <b>friends</b>",
     )
     return write_html(path, scene, t, q).as_uri()
+
+
+@pytest.fixture(scope="module")
+def replay(panda: Robot, motion: tuple[np.ndarray, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> str:
+    return written(panda, motion, tmp_path_factory.mktemp("replay") / "panda.html")
+
+
+@pytest.fixture(scope="module")
+def light_replay(panda: Robot, motion: tuple[np.ndarray, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> str:
+    """For what does not depend on how the robot looks."""
+    return written(light(panda), motion, tmp_path_factory.mktemp("light") / "panda.html")
 
 
 def background(picture: np.ndarray) -> np.ndarray:
@@ -76,8 +86,8 @@ def test_replay_shows_the_robot_and_it_moves(chromium: Chromium, replay: str) ->
     page.close()
 
 
-def test_replay_makes_no_request(chromium: Chromium, replay: str) -> None:
-    page = chromium.open(f"{replay}#paused")
+def test_replay_makes_no_request(chromium: Chromium, light_replay: str) -> None:
+    page = chromium.open(f"{light_replay}#paused")
     time.sleep(0.3)
     page.js("0")
     assert page.requests()[0].startswith("file://")
@@ -93,8 +103,8 @@ def test_replay_makes_no_request(chromium: Chromium, replay: str) -> None:
     page.close()
 
 
-def test_replay_plays_pauses_steps_and_changes_speed(chromium: Chromium, replay: str) -> None:
-    page = chromium.open(replay)
+def test_replay_plays_pauses_steps_and_changes_speed(chromium: Chromium, light_replay: str) -> None:
+    page = chromium.open(light_replay)
     assert page.js("document.title") == "panda </script> & <b>friends</b>"
     wait_for(lambda: page.clock() > 0.3, 20.0)
     page.key(" ")
@@ -129,7 +139,7 @@ def test_replay_plays_pauses_steps_and_changes_speed(chromium: Chromium, replay:
 def test_live_view_follows_the_run_in_two_browsers(chromium: Chromium, panda: Robot, motion: Any) -> None:
     t, q = motion
     curves = live_curves(panda, q[0])
-    with Viewer(Scene(panda, traces={"actual": "panda_hand"}), q[0], port=0, curves=curves) as viewer:
+    with Viewer(Scene(light(panda), traces={"actual": "panda_hand"}), q[0], port=0, curves=curves) as viewer:
         pages = [chromium.open(viewer.url) for _ in range(2)]
         wait_for(lambda: viewer.browsers == 2, 10.0)
         for instant, joints in zip(t[:40], q[:40], strict=True):
@@ -181,8 +191,8 @@ def test_picture_command_of_the_readme_has_the_robot_in_it(replay: str, tmp_path
     assert seen.mean() > 0.05
 
 
-def test_page_unpacks_scenes_packed_by_python(chromium: Chromium, replay: str) -> None:
-    page = chromium.open(f"{replay}#paused")
+def test_page_unpacks_scenes_packed_by_python(chromium: Chromium, light_replay: str) -> None:
+    page = chromium.open(f"{light_replay}#paused")
     random = np.random.default_rng(0)
     noise = random.bytes(70_000)
     texts = (b"", b"a", b"abcabc" * 20_000, noise, noise[:9_000] * 5, bytes(range(256)) * 300, b"x" * 300_000)
@@ -207,8 +217,8 @@ def test_page_unpacks_scenes_packed_by_python(chromium: Chromium, replay: str) -
     page.close()
 
 
-def test_page_that_is_still_loading_shows_it(chromium: Chromium, replay: str) -> None:
-    text = Path(url2pathname(urlsplit(replay).path)).read_bytes()
+def test_page_that_is_still_loading_shows_it(chromium: Chromium, light_replay: str) -> None:
+    text = Path(url2pathname(urlsplit(light_replay).path)).read_bytes()
     go_on = threading.Event()
 
     class Slow(BaseHTTPRequestHandler):
@@ -251,9 +261,9 @@ def test_file_that_was_cut_off_shows_an_error(chromium: Chromium, replay: str, p
     page.close()
 
 
-def test_browser_without_webgl_shows_advice(chromium: Chromium, replay: str) -> None:
+def test_browser_without_webgl_shows_advice(chromium: Chromium, light_replay: str) -> None:
     none = "HTMLCanvasElement.prototype.getContext = () => null;"
-    page = chromium.open(replay, before=(("Page.addScriptToEvaluateOnNewDocument", {"source": none}),))
+    page = chromium.open(light_replay, before=(("Page.addScriptToEvaluateOnNewDocument", {"source": none}),))
     assert page.js("document.body.dataset.state") == "failed"
     said = visible(page)
     assert "this browser has no WebGL" in said
@@ -263,8 +273,8 @@ def test_browser_without_webgl_shows_advice(chromium: Chromium, replay: str) -> 
     page.close()
 
 
-def test_browser_whose_graphics_are_reset_shows_it(chromium: Chromium, replay: str) -> None:
-    page = chromium.open(f"{replay}#paused")
+def test_browser_whose_graphics_are_reset_shows_it(chromium: Chromium, light_replay: str) -> None:
+    page = chromium.open(f"{light_replay}#paused")
     page.js(
         "document.querySelector('#view canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
     )
@@ -272,17 +282,17 @@ def test_browser_whose_graphics_are_reset_shows_it(chromium: Chromium, replay: s
     page.close()
 
 
-def test_browser_without_scripts_shows_it(chromium: Chromium, replay: str) -> None:
+def test_browser_without_scripts_shows_it(chromium: Chromium, light_replay: str) -> None:
     off = (("Emulation.setScriptExecutionDisabled", {"value": True}),)
-    page = chromium.open(replay, before=off, wait=False)
+    page = chromium.open(light_replay, before=off, wait=False)
     wait_for(lambda: "JavaScript" in visible(page), 20.0)
     assert "Loading" not in visible(page)
     page.close()
 
 
-def test_narrow_screen_has_all_controls(chromium: Chromium, replay: str) -> None:
+def test_narrow_screen_has_all_controls(chromium: Chromium, light_replay: str) -> None:
     narrow = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-    page = chromium.open(f"{replay}#paused", before=(("Emulation.setDeviceMetricsOverride", narrow),))
+    page = chromium.open(f"{light_replay}#paused", before=(("Emulation.setDeviceMetricsOverride", narrow),))
     for hidden in ("true", "false"):
         page.js(f"document.getElementById('live').hidden = {hidden}")
         boxes = page.js(

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import MARKS, Chromium, Page, wait_for
+import typecheck
+from browser import MARKS, Chromium, Page, light, wait_for
 
 from eos_pin import (
     Chart,
@@ -239,10 +240,12 @@ def test_explorer_refuses_tasks_and_robots_without_formulas(panda: Robot, tmp_pa
 # -- the page ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def written(unchecked: None, tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     task, q = made("panda", "pose")
-    return write_explorer(tmp_path / "panda.html", task, q)
+    with typecheck.off():
+        task = make_task(light(task.robot), "pose")
+        return write_explorer(tmp_path_factory.mktemp("explorer") / "panda.html", task, q)
 
 
 def drag(page: Page, handle: int, right: float, down: float) -> None:
@@ -265,8 +268,8 @@ def state(page: Page) -> dict[str, Any]:
 @MARKS[0]
 @MARKS[1]
 def test_explorer_moves_task_and_self_motion_by_hand(chromium: Chromium, written: Path, tmp_path: Path) -> None:
-    assert written.stat().st_size < 4e6
-    task, _ = made("panda", "pose")
+    task, q = made("panda", "pose")
+    assert write_explorer(tmp_path / "meshes.html", task, q).stat().st_size < 4e6
     page = chromium.open(written.as_uri())
     wait_for(lambda: page.js("explorer.loop() !== null"), 20.0)
     start = state(page)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import MARKS, Chromium
+from browser import MARKS, Chromium, light
 
 from eos_pin import EosController, OperationalSpaceController, PositionTask, Result, Robot, circle, simulate
 from eos_pin.cli.main import main
@@ -88,7 +88,7 @@ def _inside(page: object, wide: int) -> None:
 def test_one_clock_moves_picture_and_curves(
     chromium: Chromium, runs: dict[str, Result], panda: Robot, tmp_path: Path
 ) -> None:
-    file = write_replay(tmp_path / "runs.html", runs, panda)
+    file = write_replay(tmp_path / "runs.html", runs, light(panda))
     page = chromium.open(f"{file.as_uri()}#paused")
     for wide, tall in ((390, 800), (1000, 640)):
         page.do("Emulation.setDeviceMetricsOverride", width=wide, height=tall, deviceScaleFactor=1, mobile=False)
