@@ -244,7 +244,7 @@ def main(
         what: What to measure.
         runs: Number of random runs.
         json_file: File for the results.
-        write: Write the table of `peers` or `planned` into docs/commands.md.
+        write: Write the table of `peers` or `planned` into docs/positions.md.
     """
     if what in ("tracking", "peers", "planned"):
         found = {"tracking": tracking, "peers": peers, "planned": planned}[what]()
@@ -255,7 +255,7 @@ def main(
     if json_file is not None:
         json_file.write_text(json.dumps(found, indent=1) + "\n")
     if write and what in ("peers", "planned"):
-        fill(HOME / "docs" / "commands.md", f"kinematic_loop.py {what}", table(COLUMNS, map(_row, found.items())))
+        fill(HOME / "docs" / "positions.md", f"kinematic_loop.py {what}", table(COLUMNS, map(_row, found.items())))
     return 0
 
 

@@ -32,7 +32,7 @@ from eos_pin.experiments.options import ControlOptions, TaskOptions
 from eos_pin.plots import overview
 from eos_pin.simulation.kinematic import SAME, chart_following
 
-PAGE = (Path(__file__).parents[2] / "docs" / "commands.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "positions.md").read_text(encoding="utf-8")
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -208,7 +208,7 @@ def test_velocities_are_commanded_with_the_same_options(ur5):
 def test_page_runs_as_it_stands():
     names: dict = {}
     for example in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
-        exec(compile(example, "commands.md", "exec"), names)
+        exec(compile(example, "positions.md", "exec"), names)
     assert names["result"].ok
     assert names["result"].joint_drift_per_cycle[-1] < 1e-9
 
