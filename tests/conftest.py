@@ -96,6 +96,14 @@ def quick_pictures(monkeypatch):
         monkeypatch.setattr(pages, name, lambda *arguments, **options: Figure((1.0, 1.0)))
 
 
+@pytest.fixture
+def tables_fit(monkeypatch):
+    """Each table of a command is looked at on terminals of usual widths as it is printed."""
+    import screen
+
+    screen.watch(monkeypatch)
+
+
 @pytest.fixture(params=["compiled", "plain"])
 def build(request, monkeypatch):
     """With what is compiled, and without."""

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from eos_pin import Result
-from eos_pin.cli.output import run_table
+from eos_pin.cli.tables import run_table
 from eos_pin.plots.pages import overview, save
 from eos_pin.viewer.replay import scene_of, write_replay
 
@@ -59,7 +59,7 @@ def check_run(result, robot, expected, folder):
     legends = [text.get_text() for ax in figure.axes if ax.get_legend() for text in ax.get_legend().get_texts()]
     assert [text for text in legends if text.endswith("[m]")]
     assert save(figure, folder / "run.png").stat().st_size > 0
-    (cell,) = [str(cell) for cell in run_table(run.summary()).columns[1].cells if str(cell).endswith(" m")]
+    (cell,) = [str(cell) for cell in run_table(run.summary()).columns[1].cells if re.fullmatch(r"\S+ m", str(cell))]
     assert "rad" not in cell
     scene = scene_of(run, robot)
     assert dict(scene.traces) == {"actual": "panda_hand_tcp"}

@@ -9,7 +9,8 @@ from typing import Annotated
 
 import tyro
 
-from eos_pin.cli.output import Output, console, print_files, run_table, say_notes, stderr, write_outputs
+from eos_pin.cli.output import Output, console, print_files, say_notes, stderr, write_outputs
+from eos_pin.cli.tables import run_table
 from eos_pin.errors import InputError
 from eos_pin.experiments.options import RobotOptions, TaskOptions
 

@@ -109,7 +109,8 @@ def ik(
         (joint.name, f"{value:.6f}", joint.lower, joint.upper) for joint, value in zip(machine.joints, end, strict=True)
     ]
     console.print(grid(title_of(machine, goal), ("joint", "value", "lower", "upper"), rows))
-    console.print(f"{strategy}, {figures['charts']} charts, task error {format_number(residual)}")
+    charts = f"{len(found.charts)} chart{'s' * (len(found.charts) != 1)}, " if found else ""
+    console.print(f"{strategy}, {charts}task error {format_number(residual)}")
     if message:
         stderr.print(f"not reached: {message}", markup=False)
     elif strategy == "search":

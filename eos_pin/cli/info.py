@@ -63,6 +63,7 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
     from eos_pin.robot.loading import leaf_frames
 
     output.without("csv", "bag", "rerun", reason="nothing moves here")
+    files = output.within(None, names={"json": "info.json", "html": "robot.html", "plot": "robot.png"})
     machine = robot.load()
     found = _find_out(machine, task)
     goal, q = found.task, found.q
@@ -73,7 +74,7 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
         (joint.name, joint.kind, joint.lower, joint.upper, joint.velocity, joint.effort, f"{value:.3f}")
         for joint, value in zip(machine.joints, q, strict=True)
     ]
-    console.print(grid(title, columns, rows))
+    console.print(grid(title, columns, rows, "Angles are in rad, lengths in m, times in s, efforts in N m or N."))
     lines = []
     if goal is not None:
         r = machine.n - goal.m
@@ -107,7 +108,7 @@ def info(robot: RobotOptions, task: TaskOptions = TaskOptions(), output: Output 
         "leaf_frames": leaf_frames(machine),
         "notes": machine.notes,
     }
-    print_files(_still(output, machine, goal, q, figures))
+    print_files(_still(files, machine, goal, q, figures))
     return 0
 
 
@@ -183,16 +184,15 @@ def command_words(robot: RobotOptions, task: TaskOptions) -> str:
     return shlex.join(words)
 
 
-def _still(output: Output, robot: Robot, task: Task | None, q: JointVector, figures: dict[str, Any]) -> list[Path]:
+def _still(files: Output, robot: Robot, task: Task | None, q: JointVector, figures: dict[str, Any]) -> list[Path]:
     """Files that show a robot at rest."""
     from eos_pin.simulation._recorder import joint_run
     from eos_pin.tasks.position import PositionTask
 
-    files = output.within(None, names={"json": "info.json", "html": "robot.html", "plot": "robot.png"})
     # One axis fits any robot, and nothing moves.
     shown = PositionTask(robot, robot.options["chain_to"], "z") if task is None else task
     result = joint_run(shown, np.zeros(1), q[None], shown.value(q)[None])
     written = write_outputs(replace(files, out=None), result, robot, figures=figures)
-    if output.view:
+    if files.view:
         show({"": result}, {"": robot})
     return written

@@ -20,7 +20,7 @@ from rich.text import Text
 
 from eos_pin._arrays import Array, JointVector
 from eos_pin._files import check_writable, write_atomically
-from eos_pin.cli.tables import drift_of_cycles, fitted
+from eos_pin.cli.tables import fitted
 from eos_pin.cli.tables import format_number as format_number
 from eos_pin.cli.terminal import shown, spell_output
 from eos_pin.errors import EosError, InputError
@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from eos_pin.trajectories.base import Trajectory
 
 
-#: Words for the letters in tables of runs.
-KEY = (
-    "n joints follow a task of m coordinates, so that r = n - m are to spare: their motion is v. A chart is a range "
-    "of joints on which task and v are coordinates; its margin is 1 in the middle and 0 at the edge."
+#: Words for the columns of a table of several runs.
+RUNS = (
+    "Errors and drift are in m or rad, energies in J, torques in N m or N. Drift is how far off a joint comes back "
+    "from a round: the first, the worst, the last. The last column is the largest part of a limit that is used."
 )
 
 
@@ -272,13 +272,15 @@ def warn_of_gravity(robot: Robot, q: JointVector) -> None:
         stderr.print(f"Note: {note}.", soft_wrap=True, markup=False)
 
 
-def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
-    """Table that fits the terminal, in the letters it has; see `eos_pin.cli.tables`."""
+def grid(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], key: str = "") -> Table:
+    """Table that fits the terminal, in the letters it has, with words for its columns; see `eos_pin.cli.tables`."""
 
     def spelled(cell: Any) -> Any:
         return cell if isinstance(cell, float) else shown(str(cell), console.encoding)
 
-    return fitted(spelled(title), columns, [[spelled(cell) for cell in row] for row in rows], console.width)
+    table = fitted(spelled(title), columns, [[spelled(cell) for cell in row] for row in rows], console.width)
+    table.caption, table.caption_justify = key or None, "left"
+    return table
 
 
 def title_of(robot: Robot, task: Task) -> str:
@@ -294,56 +296,6 @@ def task_words(task: Task) -> str:
     return f"{task.kind}{f' of {task.frame}' if task.frame else ''}{axes}"
 
 
-def run_table(summary: Mapping[str, Any]) -> Table:
-    """Table of one run."""
-    title = f"{summary['robot']}: {summary['frame'] or summary['task'].get('kind', '')}"
-    table = Table(title=escape(title), show_header=False)
-    for _ in range(2):
-        # A path or a name in a message may be longer than a line.
-        table.add_column(overflow="fold")
-    table.add_row("status", escape(summary["status"] + (f": {summary['message']}" if summary["message"] else "")))
-    table.add_row("joints n, task m, redundancy r", f"{summary['n']}, {summary['m']}, {summary['r']}")
-    period = f" of {summary['period']:g} s" if summary["period"] else ""
-    table.add_row("duration", f"{summary['duration']:g} s, {summary['cycles']} cycles{period}")
-    units = " or ".join(dict.fromkeys(summary["units"])) or "m or rad"
-    settled = f"after {summary['settled_from']:g} s"
-    error = "tool path error" if summary["frame"] else "task error"
-    table.add_row(f"{error}, {settled}", f"{format_number(summary['task_error_max'])} {units}")
-    nothing = "none: the task takes all joints (r = 0)" if summary["m"] and not summary["r"] else ""
-    table.add_row(f"self-motion error, {settled}", nothing or format_number(summary["self_motion_error_max"]))
-    table.add_row("joints come back to within", drift_of_cycles(summary["joint_drift_per_cycle"]))
-    if any(summary["joint_turns_per_cycle"]):
-        table.add_row("whole turns of a joint in a cycle, at most", str(max(summary["joint_turns_per_cycle"])))
-    if summary["joint_distance"]:
-        apart = summary["joint_distance"]
-        text = f"{format_number(apart['max'])} rad or m, at the end {format_number(apart['end'])}"
-        table.add_row("joints off the plan, at most", text)
-    if summary["further_task"]:
-        beside = summary["further_task"]
-        what = f"further task, {beside['kind']} of {beside['frame']}: error, {settled}"
-        table.add_row(what, format_number(beside["error_max"]))
-    table.add_row("chart switches", str(summary["chart_switches"]))
-    if summary["coupling"]:
-        text = f"median {summary['coupling']['median']:.2f}, at most {summary['coupling']['max']:.2f}"
-        table.add_row("inertial coupling of task and self-motion", text)
-    if summary["given_up_seconds"]:
-        table.add_row("part of the task given up", f"{format_number(summary['given_up_seconds'])} s")
-    for what, key, unit in (
-        ("kinetic energy, mean", "kinetic_energy_mean", "J"),
-        ("largest torque or force", "torque_max", "N m or N"),
-        ("computing time", "cpu_seconds", "s"),
-    ):
-        # Not every run has inertias, torques, or a computer.
-        if not math.isnan(summary[key]):
-            table.add_row(what, f"{format_number(summary[key])} {unit}")
-    if summary["limits"]["message"]:
-        text = escape(summary["limits"]["message"])
-        table.add_row("limits", f"[bold red]{text}[/]" if summary["limits"]["passed"] else text)
-    if summary["m"]:
-        table.caption, table.caption_justify = KEY, "left"
-    return table
-
-
 def print_runs(title: str, what: str, summaries: Mapping[str, Mapping[str, Any]]) -> None:
     """Print a table of several runs by name, and a line for each that ended early or passed limits.
 
@@ -352,15 +304,22 @@ def print_runs(title: str, what: str, summaries: Mapping[str, Mapping[str, Any]]
         what: What the names are.
         summaries: Summaries of the runs.
     """
+    ended = any(summary["status"] != "finished" for summary in summaries.values())
     rows = []
     for name, summary in summaries.items():
         drift = summary["joint_drift_per_cycle"] or [math.nan]
         figures = ("kinetic_energy_mean", "torque_max", "limit_ratio_max")
         rows.append(
-            (name, summary["status"], summary["task_error_max"], drift[0], drift[-1], *map(summary.get, figures))
+            (
+                name,
+                *[summary["status"]] * ended,
+                summary["task_error_max"],
+                *(drift[0], max(drift), drift[-1]),
+                *map(summary.get, figures),
+            )
         )
-    columns = ("task error", "first drift", "last drift", "mean energy", "max torque", "of limits")
-    console.print(grid(title, (what, "status", *columns), rows))
+    columns = ("task error", "first drift", "worst drift", "last drift", "mean energy", "max torque", "of limits")
+    console.print(grid(title, (what, *["status"] * ended, *columns), rows, RUNS))
     for name, summary in summaries.items():
         if summary["message"]:
             console.print(f"{name}: {summary['message']}", markup=False)

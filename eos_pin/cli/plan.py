@@ -15,7 +15,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from eos_pin._arrays import JointVector
 from eos_pin._files import check_writable
 from eos_pin.cli.output import (
-    KEY,
     Output,
     SeededOutput,
     console,
@@ -28,7 +27,7 @@ from eos_pin.cli.output import (
     write_json,
     write_outputs,
 )
-from eos_pin.cli.tables import speed_at_ends
+from eos_pin.cli.tables import KEY, speed_at_ends
 from eos_pin.errors import InputError, PlanError
 from eos_pin.experiments.options import RobotOptions, TaskOptions
 from eos_pin.trajectories.corners import Corners

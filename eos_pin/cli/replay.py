@@ -15,12 +15,12 @@ from eos_pin.cli.output import (
     grid,
     print_files,
     print_runs,
-    run_table,
     say_notes,
     show,
     write_json,
     write_outputs,
 )
+from eos_pin.cli.tables import run_table
 from eos_pin.errors import EosError, InputError
 from eos_pin.robot.library import available_robots
 
@@ -61,6 +61,8 @@ def replay(
         output.without("csv", "bag", "rerun", reason="it takes one run, not several")
     from eos_pin.simulation.result import Result
 
+    names = {"html": "replay.html", "plot": "overview.png", "json": "summary.json"}
+    files = replace(output.within(None, names=names), out=None)
     results = {name: Result.load(file) for name, file in zip(_names(runs), runs, strict=True)}
     plants: dict[str, Robot] = {}
     missing = ""
@@ -74,8 +76,6 @@ def replay(
             missing = missing or str(error)
     summaries = {name: result.summary() for name, result in results.items()}
     first = next(iter(results))
-    names = {"html": "replay.html", "plot": "overview.png", "json": "summary.json"}
-    files = replace(output.within(None, names=names), out=None)
     if len(runs) == 1:
         console.print(run_table(summaries[first]))
         written = write_outputs(files, results[first], plants.get(first))
@@ -141,11 +141,11 @@ def robots(name: tyro.conf.Positional[str] = "", output: Output = Output()) -> i
     """
     if any((output.html, output.plot, output.csv, output.view, output.bag, output.rerun)):
         raise InputError("a list of robots cannot be drawn; try `eos-pin info ROBOT --html FILE`")
+    files = output.within(None, names={"json": "robots.json"})
     found = [robot for robot in available_robots() if name.lower() in robot.name.lower()]
     if not found:
         raise InputError(f"no robot's name contains {name!r}; `eos-pin robots` lists all")
     console.print(grid("", ("name", "file"), [(robot.name, robot.path.name) for robot in found]))
-    files = output.within(None, names={"json": "robots.json"})
     if files.json:
         print_files([write_json(files.json, {"robots": [{"name": r.name, "path": r.path} for r in found]})])
     return 0

@@ -23,6 +23,13 @@ if TYPE_CHECKING:
     from eos_pin.planning.manifolds.equilibria import Crossing, Equilibrium
 
 
+#: Words for the columns of the table.
+KEY = (
+    "Arc lengths along a component of the self-motion manifold are in rad or m. Beside a stable posture small motions "
+    "swing at a frequency, beside an unstable one they grow by a rate."
+)
+
+
 def selfmotion(
     robot: RobotOptions,
     task: TaskOptions = TaskOptions(),
@@ -67,9 +74,9 @@ def selfmotion(
     ways = crossings(manifold, found)
     names = {"json": "selfmotion.json"} | ({"plot": "potential.png"} if manifold.components else {})
     files = output.within(None, names=names)
-    title = f"{title_of(machine, goal)}, r = {machine.n - goal.m}: equilibria of the self-motion under gravity"
-    columns = ("", "component", "arc length", "energy [J]", "at rest it is", "small motions", "joint limits")
-    console.print(grid(title, columns, [_row(k, each) for k, each in enumerate(found)]))
+    title = f"{title_of(machine, goal)}: equilibria of the self-motion under gravity"
+    columns = ("number", "component", "arc length", "energy [J]", "at rest it is", "small motions", "joint limits")
+    console.print(grid(title, columns, [_row(k, each) for k, each in enumerate(found)], KEY))
     if ways:
         rows = [
             (

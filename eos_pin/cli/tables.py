@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rich import box
@@ -16,6 +16,13 @@ from eos_pin._arrays import JointVector
 
 #: A plan rests at its ends up to this speed [rad/s or m/s].
 RESTING = 1e-6
+#: Words for the letters in tables of runs.
+KEY = (
+    "n joints follow a task of m coordinates, so that r = n - m are to spare: their motion is v. A chart is a range "
+    "of joints on which task and v are coordinates; its margin is 1 in the middle and 0 at the edge."
+)
+#: Units of joints, self-motion and drift.
+UNITS = "rad or m"
 #: Least width to which a column of words is narrowed.
 NARROW = 10
 
@@ -39,6 +46,64 @@ def drift_of_cycles(cycles: Sequence[float]) -> str:
         return ", ".join(map(format_number, cycles)) or "-"
     first, worst, last = (format_number(cycles[i]) for i in (0, cycles.index(max(cycles)), -1))
     return f"first {first}, worst {worst}, last {last}, of {len(cycles)}"
+
+
+def _measured(value: float) -> str:
+    """Number with the units of joints and their differences; a dash if there is none."""
+    found = format_number(value)
+    return found if found == "-" else f"{found} {UNITS}"
+
+
+def run_table(summary: Mapping[str, Any]) -> Table:
+    """Table of one run."""
+    what = " of ".join(filter(None, (summary["task"].get("kind", "").replace("_", " "), summary["frame"])))
+    title = f"{summary['robot']}: {what}"
+    table = Table(title=escape(title), show_header=False)
+    for _ in range(2):
+        # A path or a name in a message may be longer than a line.
+        table.add_column(overflow="fold")
+    table.add_row("status", escape(summary["status"] + (f": {summary['message']}" if summary["message"] else "")))
+    table.add_row("joints n, task m, redundancy r", f"{summary['n']}, {summary['m']}, {summary['r']}")
+    period = f" of {summary['period']:g} s" if summary["period"] else ""
+    table.add_row("duration", f"{summary['duration']:g} s, {summary['cycles']} cycles{period}")
+    units = " or ".join(dict.fromkeys(summary["units"])) or "m or rad"
+    settled = f"after {summary['settled_from']:g} s"
+    error = "tool path error" if summary["frame"] else "task error"
+    table.add_row(f"{error}, {settled}", f"{format_number(summary['task_error_max'])} {units}")
+    nothing = "none: the task takes all joints (r = 0)" if summary["m"] and not summary["r"] else ""
+    table.add_row(f"self-motion error, {settled}", nothing or _measured(summary["self_motion_error_max"]))
+    drift = drift_of_cycles(summary["joint_drift_per_cycle"])
+    table.add_row("joints come back to within", drift if drift == "-" else f"{drift}; {UNITS}")
+    if any(summary["joint_turns_per_cycle"]):
+        table.add_row("whole turns of a joint in a cycle, at most", str(max(summary["joint_turns_per_cycle"])))
+    if summary["joint_distance"]:
+        apart = summary["joint_distance"]
+        text = f"{_measured(apart['max'])}, at the end {format_number(apart['end'])}"
+        table.add_row("joints off the plan, at most", text)
+    if summary["further_task"]:
+        beside = summary["further_task"]
+        what = f"further task, {beside['kind']} of {beside['frame']}: error, {settled}"
+        table.add_row(what, _measured(beside["error_max"]))
+    table.add_row("chart switches", str(summary["chart_switches"]))
+    if summary["coupling"]:
+        text = f"median {summary['coupling']['median']:.2f}, at most {summary['coupling']['max']:.2f}"
+        table.add_row("inertial coupling of task and self-motion", text)
+    if summary["given_up_seconds"]:
+        table.add_row("part of the task given up", f"{format_number(summary['given_up_seconds'])} s")
+    for what, key, unit in (
+        ("kinetic energy, mean", "kinetic_energy_mean", "J"),
+        ("largest torque or force", "torque_max", "N m or N"),
+        ("computing time", "cpu_seconds", "s"),
+    ):
+        # Not every run has inertias, torques, or a computer.
+        if not math.isnan(summary[key]):
+            table.add_row(what, f"{format_number(summary[key])} {unit}")
+    if summary["limits"]["message"]:
+        text = escape(summary["limits"]["message"])
+        table.add_row("limits", f"[bold red]{text}[/]" if summary["limits"]["passed"] else text)
+    if summary["m"]:
+        table.caption, table.caption_justify = KEY, "left"
+    return table
 
 
 def fitted(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], width: int) -> Table:

@@ -13,13 +13,13 @@ from eos_pin.cli.output import (
     print_files,
     print_runs,
     progress,
-    run_table,
     say_notes,
     stderr,
     title_of,
     warn_of_gravity,
     write_outputs,
 )
+from eos_pin.cli.tables import run_table
 from eos_pin.errors import InputError
 from eos_pin.experiments.applicability import EOS
 from eos_pin.experiments.commanded import commanded_loop, run_commanded

@@ -316,7 +316,7 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   function quantity(all) {
     const heights = all.map(each => each[by.value]), least = Math.min(...heights), most = Math.max(...heights);
     const unit = { energy: " J", torque: data.effort.every(Boolean) ? " of the limit" : robot.prismatic.some(Boolean) ? " N m or N" : " N m", apart: " m" }[by.value] ?? "";
-    ends.forEach((end, k) => { end.textContent = `${Number([least, most][k].toPrecision(3))}${unit}`; });
+    ends.forEach((end, k) => { const value = [least, most][k]; end.textContent = `${Math.abs(value) < 1e-9 ? 0 : Number(value.toPrecision(3))}${unit}`; });
     return { heights, least, most, level: most - least < 1e-6 * Math.max(1, Math.abs(most)) };
   }
   /** Colour of a part of the way from the least value to the greatest. */

@@ -15,8 +15,8 @@ from eos_pin import Atlas, Chart, PositionTask, Robot, plan
 from eos_pin.cli.info import command_words
 from eos_pin.cli.main import main
 from eos_pin.cli.main import run as cli_run
-from eos_pin.cli.output import console, print_runs, run_table
-from eos_pin.cli.tables import drift_of_cycles
+from eos_pin.cli.output import console, print_runs
+from eos_pin.cli.tables import drift_of_cycles, run_table
 from eos_pin.experiments.options import RobotOptions, TaskOptions
 from eos_pin.simulation.result import Result
 
@@ -124,30 +124,32 @@ def test_advice_is_a_whole_command_that_a_shell_reads_back() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        ["track", "ppr"],
-        ["compare", "ppr"],
-        ["plan", "ppr"],
-        ["explore", "ppr"],
-        ["sweep", "ppr"],
-        ["selfmotion", "ppr"],
-    ],
-    ids=lambda words: words[0],
-)
+#: Words of each command, and its option for a place to write to.
+WRITERS = {
+    **dict.fromkeys(("track", "compare", "plan", "sweep", "selfmotion", "info"), (["ppr"], "--out")),
+    **dict.fromkeys(("explore", "demo", "ik"), (["ppr"], "--html")),
+    "rehearse": (["ppr"], "--log"),
+    "bench": (["ppr"], "--page"),
+    "robots": ([], "--out"),
+    "replay": (["run.npz"], "--out"),
+    "analyze": (["log.csv", "--robot", "ppr"], "--out"),
+}
+
+
+def test_every_command_is_looked_at() -> None:
+    assert set(WRITERS) == set(COMMANDS)
+
+
+@pytest.mark.parametrize("command", WRITERS)
 def test_output_that_cannot_be_written_is_refused_before_the_run(
-    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    words, option = WRITERS[command]
+
     def load(*options: object, **more: object) -> None:
         raise AssertionError("the robot was loaded before the folder was looked at")
 
     monkeypatch.setattr("eos_pin.robot.loading.load_robot", load)
     (tmp_path / "file").write_text("")
-    flag = (
-        ["--html", str(tmp_path / "file" / "page.html")]
-        if command[0] == "explore"
-        else ["--out", str(tmp_path / "file" / "runs")]
-    )
-    assert main([*command, *flag]) == 2
+    assert main([command, *words, option, str(tmp_path / "file" / "place")]) == 2
     assert "is a file, not a folder" in capsys.readouterr().err

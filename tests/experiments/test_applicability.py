@@ -37,7 +37,8 @@ from eos_pin import (
     simulate_sampled,
 )
 from eos_pin.cli.main import main
-from eos_pin.cli.output import console, run_table
+from eos_pin.cli.output import console
+from eos_pin.cli.tables import run_table
 from eos_pin.experiments.applicability import RULES
 from eos_pin.experiments.defaults import fitting_path, make_task, rest_posture
 from eos_pin.experiments.options import ControlOptions, PathOptions, RunOptions, TaskOptions

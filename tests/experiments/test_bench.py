@@ -172,7 +172,7 @@ def test_bench_refuses_unknown_names(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("unchecked")
+@pytest.mark.usefixtures("unchecked", "tables_fit")
 def test_hundredth_of_the_bench_is_kept_and_reported(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(harness, "TASK_RATES", (16.0,))
     words = ["bench", "panda", "--laws", "eos,acceleration", "--settings", "model-20,noise", "--seeds", "2"]

@@ -402,6 +402,7 @@ def test_follow_joints_refuses_gains_of_another_robot(round_trip):
         FollowJoints(round_trip, kp=[1.0, 2.0])
 
 
+@pytest.mark.usefixtures("tables_fit")
 def test_plan_command_writes_figures_and_joints(tmp_path, panda, task):
     from eos_pin.cli.main import main
 

@@ -87,7 +87,7 @@ def test_motion_without_rounds_has_none(log):
     assert analyze(task, t, REST + 0.2 * t[:, None]).cycles == 0
 
 
-@pytest.mark.usefixtures("quick_pictures")
+@pytest.mark.usefixtures("quick_pictures", "tables_fit")
 def test_log_of_another_program_is_analyzed(log, tmp_path, capsys):
     task, t, q = log
     file = table(tmp_path / "log.csv", t + 1e9, q, names_of(task))

@@ -10,7 +10,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from eos_pin import EosController, Hold, PositionTask, Result, Robot, simulate
-from eos_pin.cli.output import console, run_table
+from eos_pin.cli.output import console
+from eos_pin.cli.tables import run_table
 from eos_pin.plots.panels import plot_joints
 from eos_pin.simulation._recorder import joint_run
 from eos_pin.simulation.limit_use import limits_of, use_of_limits

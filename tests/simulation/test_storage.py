@@ -26,7 +26,8 @@ from eos_pin import (
     Task,
     simulate,
 )
-from eos_pin.cli.output import run_table, stderr
+from eos_pin.cli.output import stderr
+from eos_pin.cli.tables import run_table
 from eos_pin.plots.panels import plot_errors, plot_path, plot_task_error
 from eos_pin.viewer.replay import scene_of
 

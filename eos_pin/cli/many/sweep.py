@@ -50,6 +50,13 @@ Numbers: TypeAlias = Annotated[tuple[float, ...], commas(float, "FLOAT")]
 Words: TypeAlias = Annotated[tuple[str, ...], commas(str, "NAME")]
 
 
+#: Words for the columns of the table.
+KEY = (
+    "Of the runs of a line the largest: errors and the last drift of a joint in m or rad, torques in N m or N, and the "
+    "part of a limit that is used."
+)
+
+
 @dataclass(frozen=True)
 class SweepAxes:
     """Settings that differ from run to run: each takes one value or several, with commas between.
@@ -176,7 +183,7 @@ def sweep(
         raise InputError(f"--seeds {seeds} does not apply: nothing is random; add --noise or --model-error")
     rows = _watched(planned, kept.out / "finished", jobs)
     over = [name for name, values in axes.items() if len(values) > 1 and name != "seed"]
-    console.print(grid(f"{len(rows)} runs", *_overview(rows, over)))
+    console.print(grid(f"{len(rows)} runs", *_overview(rows, over), KEY))
     failures = Counter(row["message"] for row in rows if row["status"] != "finished")
     for message, times in failures.most_common(5):
         console.print(f"{times} {'run' if times == 1 else 'runs'}: {message}", markup=False)
