@@ -13,6 +13,7 @@ from urllib.parse import unquote
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 
 from eos_pin import (
     EosController,
@@ -23,6 +24,7 @@ from eos_pin import (
     simulate,
 )
 from eos_pin.cli.main import main
+from eos_pin.planning.obstacles.scene import read_scene
 from eos_pin.robot.library import find_robot
 
 ROOT = Path(__file__).parent.parent
@@ -41,15 +43,27 @@ def test_examples_of_a_page_run_one_after_the_other(page, tmp_path, monkeypatch)
     exec(compile("\n".join(blocks(page, "python")), f"{page}.md", "exec"), {})
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_commands_of_a_page_have_only_options_that_exist(page, capsys):
-    for line in re.findall(r"^(?:\.venv/bin/)?eos-pin .*$", "\n".join(blocks(page, "sh")), re.MULTILINE):
-        words = shlex.split(line, comments=True)[1:]
-        with pytest.raises(SystemExit):
-            main([words[0], "--help"])
-        told = capsys.readouterr().out
-        for option in (word for word in words if re.match(r"--[a-z]", word)):
-            assert re.search(rf"{option}\b", told), f"{page}.md: {words[0]} has no {option}"
+def test_commands_of_pages_have_only_options_that_exist(capsys):
+    said = {}
+    for page, text in PAGES.items():
+        lines = re.findall(r"^(?:\.venv/bin/)?(eos-pin .*)$", "\n".join(blocks(page, "sh")), re.MULTILINE)
+        for line in lines + re.findall(r"`(eos-pin \w[^`]*)`", text):
+            command, *words = shlex.split(line, comments=True)[1:]
+            if command not in said:
+                with pytest.raises(SystemExit):
+                    main([command, "--help"])
+                said[command] = capsys.readouterr().out
+            for option in (word for word in words if re.match(r"--[a-z]", word)):
+                assert re.search(rf"{option}\b", said[command]), f"{page}.md: {command} has no {option}"
+
+
+def test_scene_on_the_page_is_read(tmp_path):
+    (scene,) = blocks("planning", "yaml")
+    (tmp_path / "scene.yaml").write_text(scene)
+    trimesh.creation.box((100.0, 100.0, 100.0)).export(tmp_path / "part.stl")
+    found = read_scene(tmp_path / "scene.yaml")
+    # A sphere is a capsule without length.
+    assert [len(found.boxes), len(found.capsules), len(found.meshes)] == [1, 2, 1]
 
 
 @pytest.mark.slow
