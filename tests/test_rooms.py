@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import sys
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -48,19 +49,20 @@ def name_of(path):
 MODULES = {name_of(path): path for path in PATHS}
 
 
+@cache
 def imported(path):
     """Modules that a file imports, at its top or inside a function, as (dotted name, line)."""
+    found = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from ((alias.name, node.lineno) for alias in node.names)
+            found += [(alias.name, node.lineno) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path.name}:{node.lineno} imports relatively; write the module's full name"
             # `from eos_pin.robot import model` imports eos_pin.robot.model.
             whole = [f"{node.module}.{alias.name}".removeprefix("eos_pin.") for alias in node.names]
             inside = node.module.split(".")[0] == "eos_pin"
-            yield from (
-                (f"eos_pin.{name}" if inside and name in MODULES else node.module, node.lineno) for name in whole
-            )
+            found += [(f"eos_pin.{name}" if inside and name in MODULES else node.module, node.lineno) for name in whole]
+    return found
 
 
 def inside(path):

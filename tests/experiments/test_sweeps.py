@@ -225,7 +225,7 @@ def test_sweep_that_was_killed_computes_no_finished_run_twice(tmp_path):
     planned = noted(tmp_path, count=5, fate="slow")
     finished = {trial.number for trial in planned if (tmp_path / "kept" / f"{trial.key}.json").exists()}
     assert 2 <= len(finished) < 5
-    rows = sweep(planned, folder=tmp_path / "kept", jobs=2)
+    rows = sweep(planned, folder=tmp_path / "kept")
     assert [row["status"] for row in rows] == ["finished"] * 5
     assert {times_run(tmp_path)[number] for number in finished} == {1}
 

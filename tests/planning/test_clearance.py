@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 
 import checks
@@ -56,11 +56,18 @@ def chain_distance(q, discs):
     return min(segment_distance(np.array([x, y]), *link) - radius - RADIUS for x, y, radius in discs for link in links)
 
 
+@cache
+def of_body(clearance, body):
+    """The same clearance with one body alone."""
+    return Clearance(clearance.robot, clearance.obstacles, bodies=(body,))
+
+
 def slope(clearance, t, q, body, step=1e-6):
     """Slope of the distance of one body by central differences."""
+    alone = of_body(clearance, body)
 
     def distance(q):
-        return next(a.distance for a in clearance.closest_pairs(t, q) if a.body == body)
+        return alone.closest_pairs(t, q)[0].distance
 
     return np.array([distance(q + step * e) - distance(q - step * e) for e in np.eye(q.size)]) / (2.0 * step)
 
@@ -119,15 +126,18 @@ def test_distances_of_an_arm_are_those_of_the_hulls_of_its_meshes(panda, among_t
     assert meshes < distance + 2e-4
 
 
+@pytest.fixture(scope="module")
+def beside_solids(panda):
+    """Clearance of panda from a ball, and from a box that moves."""
+    ball = Obstacle(coal.Sphere(0.1), [0.3, 0.1, 0.6])
+    box = Obstacle(coal.Box(0.1, 0.2, 0.3), lambda t: [0.5, t, 0.3])
+    return [Clearance(panda, [obstacle]) for obstacle in (ball, box)]
+
+
 @given(st.data())
-def test_gradient_is_the_slope_on_an_arm(panda, data):
+def test_gradient_is_the_slope_on_an_arm(panda, beside_solids, data):
     q = data.draw(checks.joints(panda))
-    obstacles = [
-        Obstacle(coal.Sphere(0.1), [0.3, 0.1, 0.6]),
-        Obstacle(coal.Box(0.1, 0.2, 0.3), lambda t: [0.5, t, 0.3]),
-    ]
-    for obstacle in obstacles:
-        clearance = Clearance(panda, [obstacle])
+    for clearance in beside_solids:
         for approach in clearance.closest_pairs(0.1, q)[:2]:
             # Where the closest point jumps to another edge or face, there is no slope.
             slopes = [slope(clearance, 0.1, q, approach.body, step) for step in (1e-6, 1e-5)]

@@ -9,9 +9,9 @@ import math
 import pickle
 import zipfile
 
-import jaxtyping
 import numpy as np
 import pytest
+import typecheck
 from checks import READY as REST
 from checks import tip
 
@@ -51,10 +51,8 @@ def closed_loop(panda, kind="position"):
 @pytest.fixture(scope="module")
 def runs(panda):
     """One run of each kind; `unchecked` serves a single test, so the type checks are switched off here once more."""
-    before = jaxtyping.config.jaxtyping_disable
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield make_runs(panda)
-    jaxtyping.config.update("jaxtyping_disable", before)
+    with typecheck.off():
+        yield make_runs(panda)
 
 
 def make_runs(panda):
