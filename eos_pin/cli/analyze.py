@@ -59,8 +59,8 @@ def analyze(
         raise InputError("--q0 does not apply: the log has the joints")
     if task.tolerance:
         raise InputError("--tolerance does not apply: every coordinate of the task counts here; leave it out")
-    if task.further != "none":
-        raise InputError("--further does not apply: the joints have moved already; leave it out")
+    if task.further != "none" or task.further_path:
+        raise InputError("--further and --further-path do not apply: the joints have moved already; leave them out")
     if output.view:
         raise InputError("--view does not apply: the run is over; its replay is --html FILE")
     from eos_pin.experiments.defaults import make_task

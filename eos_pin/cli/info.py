@@ -130,6 +130,7 @@ def _find_out(robot: Robot, options: TaskOptions) -> Findings:
             or options.point
             or options.tolerance
             or options.further != "none"
+            or options.further_path
         )
         if named or options.tool_axis != TaskOptions.tool_axis:
             # Asked for in so many words: a mistake in these is one of the caller.

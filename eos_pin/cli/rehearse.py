@@ -90,7 +90,7 @@ def rehearse(
     machine = robot.load()
     say_notes(machine)
     goal, q = task.make(machine, led=True)
-    further = task.make_further(machine)
+    further = task.make_further(machine, q)
     reference = path.make(goal, q)
     say_notes(reference)
     clock: Clock | None = None
@@ -98,6 +98,7 @@ def rehearse(
     if control.command == "torque":
         warn_of_gravity(machine, q)
         clock = Clock(speed=0.0)
+        further = further and (further[0], PacedPath(further[1], clock))
         controller = control.make(goal, PacedPath(reference, clock), q, period, further=further)
         driver = ControlLoop(controller, soft_start=loop.soft_start, torque_rate=loop.torque_rate)
     else:

@@ -72,6 +72,7 @@ def track(
       eos-pin track panda --size 0.3 --path circle --self-motion planned
       eos-pin track panda --plan circle.npz
       eos-pin track ur5 --task point-axis --further orientation --command position
+      eos-pin track ur5 --task point-axis --further orientation --further-path "0 0; 2 1; 4 0"
       eos-pin track ur5 --command position --control-rate 500
       eos-pin track panda --control-rate 1000 --noise 1e-5 --model-error 0.1 --torque-limits
     """
@@ -95,7 +96,7 @@ def track(
             motion = made_plan(goal, reference, q if task.q0 else None, control, output.seed)
             reference, q = motion.path, motion.q
     say_notes(reference, goal)
-    law, further = motion.law if motion else None, task.make_further(machine)
+    law, further = motion.law if motion else None, task.make_further(machine, q)
     duration, period = path.length(reference), simulation.control_period
     torque = control.command == "torque"
     if torque:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,13 +28,12 @@ from eos_pin.charts.atlas import Atlas
 from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import AccelerationMap
 from eos_pin.control._sampled_law import SelfTargets, decay
-from eos_pin.control._smallest_change import SmallestChange
 from eos_pin.control._velocity_box import VelocityBox, compiled_step, part_within
 from eos_pin.control.eos import law_for
 from eos_pin.control.limited import JointLimits
 from eos_pin.control.objectives import Objective
 from eos_pin.control.state import EosState, KinematicState, Solved
-from eos_pin.control.tolerance import Bands
+from eos_pin.control.tolerance import CommandLimits
 from eos_pin.errors import InputError, SingularError, StateError
 from eos_pin.tasks.base import Point, Task
 from eos_pin.trajectories.base import Target, Trajectory, check_reference
@@ -70,7 +70,7 @@ class KinematicLoop:
     accuracy of Newton's method, whatever the period. Position, velocity and acceleration limits are kept always. Where
     they leave no room for the motion that is asked for, the command changes as little as it can, and in a way that the
     task feels only where it must. Near a singularity the direction that is being lost fades out of the law, as in
-    `EosController`. Coordinates with a tolerance are kept in their bands, see `Bands`, after the limits of joints.
+    `EosController`. Coordinates with a tolerance are in their bands at every command, as far as limits of joints allow.
 
     The loop goes on from its own last command, so noise of the encoders does not enter it; measured joints start a run
     and are compared with the command. A state that cannot be used, a clock that runs backwards, a jump, and joints that
@@ -116,8 +116,7 @@ class KinematicLoop:
         if atlas is not None and atlas.task is not task:
             raise InputError("the atlas must be made of the loop's own task object: atlas=Atlas(task)")
         self.task, self.robot, self.atlas = task, task.robot, atlas or Atlas(task)
-        self._smallest = SmallestChange(task.m, task.robot.n, bands=len(task.bands))
-        self._bands = Bands(task) if task.bands else None
+        self._within = CommandLimits(task, control_period)
         self.pace: float = 1.0
         self._ahead: tuple[Any, float, Target] | None = None
         self._version = object()
@@ -325,13 +324,14 @@ class KinematicLoop:
             pace = self.pace if part == 1.0 and abs(self.pace - pace) <= h * PACE_RATE else pace + part * gain
             found = solved(pace)
         a, on, limitless, J, goal, v_d = found
-        if self._bands is not None:
-            a = a + self._smallest.into_bands(J, a, *self._bands(self.reference, s, q, u, pace=pace))
-            J = self._smallest.with_bands(J)
+        parts = self._within.parts(state.z, now.z, state.z_before, z_d_before)
+        target = self._target(s + h * pace).z
         limited = bool(((a < least) | (a > most)).any())
-        if limited:
-            a = a + self._smallest.within(J, least - a, most - a)
-        q_next, z = self._solved(on, p, a, J[: task.m], goal, v_d, exact=limitless and not limited)
+        if not limited:
+            q_next, z = self._solved(on, p, a, J, goal, v_d, exact=limitless)
+        if limited or not self._within.kept(z, target, parts):
+            lacking = partial(self._lacking, on, goal) if limitless else None
+            q_next, z, limited = self._within.within(p, a, J, least, most, target, parts, lacking)
         u_next = (q_next - q) / h
         within = np.minimum(np.maximum(u_next, u + h * least), u + h * most)
         if not math.isfinite(within.dot(within)):
@@ -339,8 +339,7 @@ class KinematicLoop:
                 f"no finite command at t = {t!r} s: the reference or the self-motion asks for {a.tolist()}"
             )
         if (within != u_next).any():
-            q_next = q + h * within
-            z = task._value(q_next)
+            q_next, z = q + h * within, task._value(q + h * within)
         deficit = task._minus(goal, z) / h**2
         self._limit_change = (q_next - p) / h**2 - found.a if limited else 0.0 * u
         return KinematicState(
@@ -350,12 +349,9 @@ class KinematicLoop:
 
     def _target(self, t: float) -> Target:
         """The reference at time t; that of the last call is kept."""
-        ahead = self._ahead
-        if ahead is not None and ahead[0] is self.reference and abs(ahead[1] - t) <= SAME_TIME:
-            return ahead[2]
-        target = self.reference(t)
-        self._ahead = self.reference, t, target
-        return target
+        if self._ahead is None or self._ahead[0] is not self.reference or abs(self._ahead[1] - t) > SAME_TIME:
+            self._ahead = self.reference, t, self.reference(t)
+        return self._ahead[2]
 
     def _acceleration(
         self, t: float, state: KinematicState, v_d: SelfTargets, J: Jacobian, asked: TaskVector
@@ -384,15 +380,21 @@ class KinematicLoop:
         self, on: EosState, p: JointVector, a: JointVector, J: Jacobian, goal: Point, v_d: SelfTargets, *, exact: bool
     ) -> tuple[JointVector, Point]:
         """Joints at the end of the period and their task point, by Newton's method where the goal is to be met."""
-        h2, rest = self._period**2, np.zeros(p.size)
-        q = p + h2 * a
+        q = p + self._period**2 * a
         z = self.task._value(q)
         for _ in range(STEPS if exact else 0):
-            left = self.task._minus(goal, z)
-            aside = v_d.lacking(on.chart, J, q, left)
-            if left.dot(left) + aside.dot(aside) <= SOLVED:
+            if (more := self._lacking(on, goal, J, z, v_d, q)) is None:
                 break
-            more, _ = on.drive(J, np.concatenate((left, aside)), rest)
             q = q + more
             z = self.task._value(q)
         return q, z
+
+    def _lacking(
+        self, on: EosState, goal: Point, J: Jacobian, z: Point, v_d: SelfTargets | None = None, q: Any = None
+    ) -> JointVector | None:
+        """Joint motion to a goal from a task point, and that of a further task at q; None if they are there."""
+        left = self.task._minus(goal, z)
+        aside = np.zeros(on.chart.r) if v_d is None else v_d.lacking(on.chart, J, q, left)
+        if left.dot(left) + aside.dot(aside) <= SOLVED:
+            return None
+        return on.drive(J, np.concatenate((left, aside)), np.zeros(self.robot.n))[0]

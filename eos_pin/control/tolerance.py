@@ -1,20 +1,23 @@
-"""`KeepTolerance`: a law of the self-motion that keeps the bands of a task with tolerances."""
+"""`KeepTolerance`: a law of the self-motion that keeps the bands of a task with tolerances; and limits of commands."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from eos_pin._arrays import Array, JointVector, SelfMotionVector, VectorLike, checked, gains, number
+from eos_pin._arrays import Array, Jacobian, JointVector, SelfMotionVector, Vector, VectorLike, checked, gains, number
 from eos_pin.charts.chart import Chart
 from eos_pin.control._sampled_law import SelfTargets
+from eos_pin.control._smallest_change import SmallestChange
 from eos_pin.control.objectives import Further, Objective
 from eos_pin.errors import InputError
 from eos_pin.robot.model import Robot
-from eos_pin.tasks.base import Task
+from eos_pin.tasks.base import Point, Task
 from eos_pin.trajectories.base import Target, Trajectory
 
 #: Rate at which the edge of a band is approached [1/s].
@@ -27,6 +30,10 @@ SMALL = 1e-5
 SLACK = 1e-4
 #: Part of a band that is left alone, so that what is neglected does not leave it.
 ROOM = 1e-3
+#: How often a command is corrected for curved bands at most, and excess of a band's part, squared, that needs none.
+STEPS, NONE = 6, 1e-9
+#: Acceleration of the task beyond which a change gave it up [m/s² or rad/s²].
+GIVEN_UP = 1e-5
 
 
 class Bands:
@@ -67,6 +74,93 @@ class Bands:
         rate, bend = (s[1] - s[2]) / (2.0 * STEP), (s[1] - 2.0 * s[0] + s[2]) / STEP**2
         most = -2.0 * self.rate * rate + self.rate**2 * (1.0 - s[0]) - bend
         return ((s[3 : n + 3] - s[n + 3 :]) / (2.0 * SMALL)).T, most
+
+
+class CommandLimits:
+    """Limits of joints, and bands of the task, for a loop that commands positions: every command keeps them.
+
+    Of each band h is what the part in use, squared, lacks to 1. Commands obey h⁺ ≥ 2 a h − a² h⁻, a = exp(−ρ T) for a
+    period T: samples of the condition of `Bands`, and h⁺ ≥ 0 from h ≥ 0 on. The condition is met by the joints that are
+    commanded, not by their linear prediction.
+
+    Args:
+        task: The task.
+        period: Time T between two commands [s].
+    """
+
+    def __init__(self, task: Task, period: float) -> None:
+        self.task, self._whole, self._square = task, task.whole, period**2
+        self._smallest = SmallestChange(task.m, task.robot.n, bands=len(task.bands))
+        self._sides = SMALL * np.concatenate((np.zeros((1, task.robot.n)), np.eye(task.robot.n), -np.eye(task.robot.n)))
+        self._factor = math.exp(-RATE * period)
+
+    def _used(self, z: Float[Array, "K size"], targets: Float[Array, "#K size"]) -> Float[Array, "K B"]:
+        """Parts of the bands that are in use, squared."""
+        used: Float[Array, "K B"] = np.square(self.task.used(z, targets)).sum(axis=2) / (1.0 - ROOM) ** 2
+        return used
+
+    def parts(self, z: Point, target: Point, z_before: Point, target_before: Point) -> Vector:
+        """Largest part of each band, squared, that the next command may use.
+
+        Args:
+            z: Task point of the last command.
+            target: Its target.
+            z_before: Task point of the command before.
+            target_before: Its target.
+        """
+        if not self.task.bands:
+            return np.zeros(0)
+        now, before = 1.0 - self._used(np.array((z, z_before)), np.array((target, target_before)))
+        least = 2.0 * self._factor * now - self._factor**2 * before
+        # A band is not left from within, however fast its edge comes near.
+        return 1.0 - np.where(now >= 0.0, np.maximum(least, 0.0), least)
+
+    def kept(self, z: Point, target: Point, parts: Vector) -> bool:
+        """Whether a task point uses no more than these parts of its bands."""
+        return not parts.size or not (self._used(z[None], target[None]) > parts + NONE).any()
+
+    def within(
+        self, p: JointVector, a: JointVector, J: Jacobian, least: JointVector, most: JointVector, target: Point,
+        parts: Vector, lacking: Callable[[Jacobian, Point], JointVector | None] | None,
+    ) -> tuple[JointVector, Point, bool]:  # fmt: skip
+        """Joints and task point after the smallest change of an acceleration, and whether limits of joints needed it.
+
+        Args:
+            p: Joints at the end of the period without acceleration.
+            a: Acceleration of the law.
+            J: Jacobian of the task at p.
+            least: Least acceleration of each joint.
+            most: Largest one.
+            target: Target at the end of the period, the middle of the bands.
+            parts: Largest part of each band, squared.
+            lacking: Motion to the goal of the task, by the Jacobian and the task point of joints near it, or None if
+                they are there; None where the goal cannot be met.
+        """
+        q, limited = p, False
+        for _ in range(STEPS if parts.size else 1):
+            change, rows = np.zeros(p.size), J
+            if parts.size:
+                used = self._used(self._whole.kinematics.value(q + self._sides), target[None])
+                slopes = ((used[1 : p.size + 1] - used[p.size + 1 :]) / (2.0 * SMALL)).T
+                room = (parts - used[0] - slopes.dot(p - q)) / self._square
+                change = self._smallest.into_bands(J, a, slopes, room)
+                rows = self._smallest.with_bands(J)
+            if ((a + change < least) | (a + change > most)).any():
+                limited = True
+                change = change + self._smallest.within(rows, least - a - change, most - a - change)
+            if limited or np.abs(J.dot(change)).max() > GIVEN_UP:
+                lacking = None
+            a = a + change
+            q = p + self._square * a
+            if not parts.size:
+                break
+            z, J = self.task._linearize(q)
+            more = lacking and lacking(J, z)
+            if more is None and self.kept(z, target, parts):
+                break
+            if more is not None:
+                a, q = a + more / self._square, q + more
+        return q, self.task._value(q), limited
 
 
 class KeepTolerance(Objective):

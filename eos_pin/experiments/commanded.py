@@ -28,7 +28,7 @@ def commanded_loop(
     *,
     period: float | None = None,
     law: Objective | None = None,
-    further: Task | None = None,
+    further: tuple[Task, Trajectory] | None = None,
 ) -> KinematicLoop:
     """Make a `KinematicLoop` with these options.
 
@@ -39,7 +39,7 @@ def commanded_loop(
         q: Joints at the start.
         period: Control period [s].
         law: Law of the self-motion, where it is made already.
-        further: Further task that it does else; None without one.
+        further: Further task that it does else, and its path; None without one.
 
     Raises:
         InputError: The options do not fit.

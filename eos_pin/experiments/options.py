@@ -189,11 +189,11 @@ class ControlOptions:
         period: float | None,
         *,
         law: Objective | None = None,
-        further: Task | None = None,
+        further: tuple[Task, Trajectory] | None = None,
     ) -> Controller:
         """The controller, for a run with a control period [s], or None for a continuous one.
 
-        `law` is that of the self-motion, where it is made already; else it does the task `further`.
+        `law` is that of the self-motion, where it is made already; else it does the task `further` on its path.
         """
         from eos_pin.charts.atlas import Atlas
         from eos_pin.control.eos import EosController
@@ -222,7 +222,9 @@ class ControlOptions:
             raise InputError("a controller that keeps limits needs a sampled run; add --control-rate 1000")
         return LimitedEosController(task, reference, law, control_period=period, kp=self.kp, kd=self.kd, atlas=atlas)
 
-    def _law(self, task: Task, reference: Trajectory, q: JointVector, further: Task | None = None) -> Objective:
+    def _law(
+        self, task: Task, reference: Trajectory, q: JointVector, further: tuple[Task, Trajectory] | None = None
+    ) -> Objective:
         from eos_pin.control.following import TrackTask
         from eos_pin.control.objectives import Damp, Posture, ReduceKineticEnergy, Track
         from eos_pin.trajectories.harmonic import Harmonic
@@ -230,7 +232,7 @@ class ControlOptions:
         gains = {"kp": self.kp_self_motion, "kd": self.kd_self_motion}
         r = task.robot.n - task.m
         if further is not None and r:
-            return TrackTask(further, further.aim(q), rest=self._law(task, reference, q), **gains)
+            return TrackTask(further[0], further[1], rest=self._law(task, reference, q), **gains)
         named = ("v", "swing", "self_motion", "kp_self_motion", "kd_self_motion", "chart_margin", "metric")
         if not r and (further or any(getattr(self, name) != getattr(ControlOptions, name) for name in named)):
             options = ", ".join("--" + name.replace("_", "-") for name in named)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from eos_pin._arrays import JointVector, checked, vector
 from eos_pin.errors import InputError
 from eos_pin.experiments.applicability import DIRECTED, POINTED, TaskKind
@@ -41,6 +43,9 @@ class TaskOptions:
         further: Kind of a further task that the self-motion does, as far as the task allows: to keep an orientation (so
             the roll of a tool whose axis is directed), an axis or the centre of mass where it is at the start, to look
             at --point, or to keep the distance from it.
+        further_path: Path of the further task instead, a CSV file or way points as in --path. Of an orientation also
+            rows of t [s] and a turn [rad] about --tool-axis, counted from the start, such as "0 0; 2 1.5; 4 0": a law
+            for the roll of a tool. A path that ends where it begins repeats.
     """
 
     task: TaskKind = "position"
@@ -51,6 +56,7 @@ class TaskOptions:
     combine: tuple[str, ...] = ()
     tolerance: tuple[str, ...] = ()
     further: Literal["none", "orientation", "axis", "look-at", "distance", "com"] = "none"
+    further_path: str = ""
 
     @checked
     def make(self, robot: Robot, *, kept: bool = False, led: bool = False) -> tuple[Task, JointVector]:
@@ -64,10 +70,12 @@ class TaskOptions:
         from eos_pin.experiments.defaults import make_task, rest_posture
         from eos_pin.tasks.tolerance import ToleranceTask
 
-        if not led and (self.further != "none" or any(isinstance(word, str) for word in self.point)):
+        if not led and (
+            self.further != "none" or self.further_path or any(isinstance(word, str) for word in self.point)
+        ):
             raise InputError(
                 "a further task and a point that moves are for `eos-pin track` and `eos-pin rehearse`; leave out "
-                "--further here, and give --point as three numbers"
+                "--further and --further-path here, and give --point as three numbers"
             )
         task = whole = make_task(robot, self.task, axes=self.axes, **self.chosen(robot, self.task))
         if self.tolerance:
@@ -88,20 +96,48 @@ class TaskOptions:
         return task, in_order(named, robot.joint_names, rest_posture(whole), "q0")
 
     @checked
-    def make_further(self, robot: Robot) -> Task | None:
-        """The further task; None without one."""
+    def make_further(self, robot: Robot, q: JointVector) -> tuple[Task, Trajectory] | None:
+        """The further task and its path from the joints q; None without one."""
         if self.further == "none":
             return None
         from eos_pin.experiments.defaults import make_task
 
-        return make_task(robot, self.further, **self.chosen(robot, self.further))
+        task = make_task(robot, self.further, **self.chosen(robot, self.further))
+        return task, self._further_path(task, q) if self.further_path else task.aim(q)
+
+    def _further_path(self, task: Task, q: JointVector) -> Trajectory:
+        """The path of the further task."""
+        from eos_pin.experiments.path_files import path_from_csv
+        from eos_pin.tasks.axis import tool_axis
+        from eos_pin.trajectories.pose import Turned
+        from eos_pin.trajectories.spline import check_rows, cubic_spline
+        from eos_pin.trajectories.waypoints import is_table, read_waypoints
+
+        path = self.further_path
+        if self.further == "look-at":
+            raise InputError("--further-path is not for --further look-at: where the tool looks, --point moves")
+        if not is_table(path):
+            raise InputError(
+                f"--further-path is the name of a .csv file or way points separated by semicolons; got {path!r}"
+            )
+        if self.further == "orientation" and (rows := read_waypoints(path)).values is not None:
+            turns = rows.values if rows.t is None else np.column_stack((rows.t, rows.values))
+            if turns.shape[1] == 2:
+                check_rows(rows)
+                angle = cubic_spline(turns[:, 1:], turns[:, 0] - turns[0, 0])
+                return Turned(task.value(q).reshape(3, 3), tool_axis(self.tool_axis), angle)
+        if self.tool_axis != TaskOptions.tool_axis and not {self.task, self.further} & {*DIRECTED}:
+            raise InputError(f"--tool-axis {self.tool_axis} does not apply: no task and no turn is about it")
+        return path_from_csv(path, task, q)
 
     @checked
     def chosen(self, robot: Robot, kind: str) -> dict[str, Any]:
         """Frame, tool axis and point for a task of a kind; those of another kind that is asked for are left out."""
         chosen: dict[str, Any] = {"frame": robot.options.get("chain_to", "")}
         kinds = {self.task, self.further}
-        if kind in DIRECTED or not kinds & {*DIRECTED}:
+        # A path of an orientation may be turns about the axis.
+        turned = self.further == "orientation" and self.further_path
+        if kind in DIRECTED or not (turned or kinds & {*DIRECTED}):
             chosen["tool_axis"] = self.tool_axis
         if kind == "relative-pose":
             chosen["seen_from"] = robot.options.get("branch_to", "")

@@ -185,14 +185,14 @@ def plot_charts(ax: Axes, result: Result) -> None:
 
 @checked
 def plot_errors(ax: Axes, result: Result) -> None:
-    """Task error by unit, and self-motion error, as norms on a logarithmic axis over time."""
+    """Task error by unit, self-motion error and that of a further task, as norms on a logarithmic axis over time."""
     units = np.array(result.units or ["m, rad"] * result.error.shape[1])
     names = {"m": "position" if result.axes else "task", "rad": "rotation"}
     curves = [
         (f"{names.get(unit, 'task')} [{unit}]", result.error[:, units == unit], color)
         for unit, color in zip(dict.fromkeys(units.tolist()), cycle((ACTUAL, VERMILION, ORANGE, PURPLE)), strict=False)
     ]
-    curves.append(("self-motion", result.self_motion_error, GREEN))
+    curves += [("self-motion", result.self_motion_error, GREEN), ("further task", result.further_error, BLACK)]
     curves = [curve for curve in curves if np.isfinite(curve[1]).any()]
     if not curves:
         return draw_nothing(ax, "nothing was asked for")

@@ -252,7 +252,7 @@ def _read(source: Source) -> tuple[Urdf, str]:
     if not isinstance(source, (str, os.PathLike)):
         raise InputError(
             f"a robot is given by name, path or text of a URDF, got {type(source).__name__}; of a pin.Model make "
-            "Robot.from_pinocchio(model)"
+            "Robot.from_pinocchio(model), of a module of robot_descriptions load its URDF_PATH or MJCF_PATH"
         )
     path, canonical = _find(source)
     return read_urdf(path), canonical

@@ -33,7 +33,8 @@ def with_shortcomings(
         run = replace(run, info={**run.info, "joint_distance": joint_distance})
     beside = _beside(run, further)
     if beside:
-        run = replace(run, info={**run.info, "further_task": beside})
+        errors = np.array([row.error for row in further if row is not None])
+        run = replace(run, info={**run.info, "further_task": beside}, further_error=errors)
     if not run.ok:
         return run
     lost = run.deficit_rows

@@ -53,7 +53,8 @@ def read(path: Path, names: Sequence[str]) -> tuple[dict[str, Any], dict[str, Ar
         if found not in (FORMAT, BEFORE):
             raise ResultError(f"{path} has format {found!r}, this version reads {BEFORE!r} and {FORMAT!r}")
         old = {new: name for name, new in _OLD_NAMES.items() if found == BEFORE and name in file}
-        arrays = {name: file[old.get(name, name)] for name in names}
+        # Files of before have no errors of a further task.
+        arrays = {name: file[old.get(name, name)] for name in names if name != "further_error" or name in file}
     if found == BEFORE:
         header["names"] = _names(header.get("info", {}).get("task") or {})
     return header, arrays

@@ -58,6 +58,7 @@ class Result:
         kinetic_energy: Kinetic energy [J], (T,).
         work: Work done on the robot since the start by torques and task force [J], (T,).
         switches: Times at which a chart was left [s].
+        further_error: Error of a further task that the self-motion tracks [m, rad]; empty where there is none.
         period: Period of the reference [s]; infinite if it does not repeat.
         status: `"finished"`, or why the run ended early, in one word.
         message: The same in a sentence, with advice.
@@ -88,6 +89,7 @@ class Result:
     kinetic_energy: Float[Array, " T"]
     work: Float[Array, " T"]
     switches: Float[Array, " S"]
+    further_error: Float[Array, "F k"] = field(default_factory=lambda: np.zeros((0, 0)))
     period: float = math.inf
     status: str = "finished"
     message: str = ""
@@ -105,6 +107,8 @@ class Result:
 
     def __post_init__(self) -> None:
         rows = len(self.t)
+        if not len(self.further_error):
+            object.__setattr__(self, "further_error", np.zeros((rows, 0)))
         for name in _ARRAYS:
             array = frozen_copy(getattr(self, name), int if name == "chart" else float)
             if array.ndim != (1 if name in _VECTORS else 2):

@@ -1,14 +1,17 @@
-"""Trajectories of poses from a position and an orientation."""
+"""Trajectories of poses from a position and an orientation, and orientations that turn about an axis."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pinocchio as pin
+from jaxtyping import Float
 
-from eos_pin._arrays import VectorLike, as_floats, by_value, checked, vector
+from eos_pin._arrays import Array, Vector, VectorLike, as_floats, by_value, checked, vector
 from eos_pin.errors import InputError
 from eos_pin.tasks._flat import PointLike, checked_pose, flat_rotation
-from eos_pin.trajectories.base import Hold, Trajectory
+from eos_pin.trajectories.base import Hold, Target, Trajectory
 from eos_pin.trajectories.stacked import StackedTrajectory
 
 
@@ -55,6 +58,33 @@ class PoseTrajectory(StackedTrajectory):
     def orientation(self) -> Trajectory:
         """Trajectory of the orientation."""
         return self.parts[1]
+
+
+@by_value
+@checked
+@dataclass(frozen=True, eq=False)
+class Turned(Trajectory):
+    """Orientations that turn about one axis of the frame, which rests in space, such as the roll of a tool.
+
+    Attributes:
+        rotation: Rotation matrix at the angle 0, (3, 3).
+        axis: The axis in the frame, a unit vector, (3,).
+        angle: Trajectory of the angle [rad].
+    """
+
+    rotation: Float[Array, "3 3"]
+    axis: Vector
+    angle: Trajectory
+
+    def __post_init__(self) -> None:
+        for name in ("period", "duration", "begin", "notes"):
+            object.__setattr__(self, name, getattr(self.angle, name))
+
+    def __call__(self, t: float) -> Target:
+        (angle,), rate, bend = self.angle(t)
+        in_space = self.rotation.dot(self.axis)
+        z: Vector = self.rotation.dot(pin.exp3(angle * self.axis)).ravel()
+        return Target(z, rate * in_space, bend * in_space)
 
 
 def _position(part: Trajectory | VectorLike | pin.SE3 | None) -> Trajectory:

@@ -91,6 +91,8 @@ REFUSED = [
     ("track ur5 --command position --rtol 1e-6", "--rtol 1e-06 does not apply: positions"),
     ("track ur5 --command position --plant mujoco", "--plant mujoco does not apply: positions"),
     ("track ur5 --acceleration 3", "--acceleration 3.0 does not apply: torques are commanded"),
+    ("track panda --further-path some.csv", "--further-path some.csv does not apply: there is no further task"),
+    ("rehearse panda --further-path some.csv", "--further-path some.csv does not apply: there is no further task"),
     ("track panda --seed 3", "--seed 3 does not apply: nothing is random"),
     ("compare panda --control-rate 500 --seed 3", "--seed 3 does not apply"),
     ("track panda --task pose --axes xy", "axes 'xy' do not apply to a task of pose"),
@@ -226,7 +228,8 @@ REFUSED = [
         for option, told in (
             ("--q0 1", "--q0 does not apply: the log has the joints"),
             ("--view", "--view does not apply: the run is over"),
-            ("--further axis", "--further does not apply"),
+            ("--further axis", "--further and --further-path do not apply"),
+            ("--further-path a.csv", "--further and --further-path do not apply"),
             ("--tolerance rz=0.2", "--tolerance does not apply: every coordinate of the task counts"),
             ("--task pose --axes xy", "axes 'xy' do not apply"),
             ("--tool-axis x", "a tool axis, 'x', does not apply"),
@@ -240,7 +243,7 @@ REFUSED = [
     ),
     ("analyze log.csv --robot panda --combine elbow=1", "combinations of joints are for the task joints"),
     *(
-        (f"{command} panda --task position --further axis", "leave out --further here")
+        (f"{command} panda --task position --further axis --further-path some.csv", "leave out --further and")
         for command in ("compare", "plan", "info", "ik", "explore", "selfmotion")
     ),
     ("info panda --bag a.bag", "--bag a.bag does not apply"),

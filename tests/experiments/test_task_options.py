@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from checks import REST
 
 from eos_pin import (
     DistanceTask,
@@ -93,10 +94,10 @@ def test_point_that_moves_and_further_task_are_made_from_words(panda, tmp_path):
     # Point and axis are those of the task that needs them.
     options = TaskOptions("position", point=(1.0, 0.0, 0.3), tool_axis="x", further="look-at")
     task, _ = options.make(panda, led=True)
-    further = options.make_further(panda)
+    further, aim = options.make_further(panda, REST)
     assert isinstance(further, LookAtTask)
-    np.testing.assert_allclose(further.aim().z, [1.0, 0.0, 0.0])
-    assert TaskOptions().make_further(panda) is None
+    np.testing.assert_allclose(aim(0.0).z, [1.0, 0.0, 0.0])
+    assert TaskOptions().make_further(panda, REST) is None
     for words, options in (
         ("leave out --further", {"further": "axis"}),
         ("a .csv file", {"task": "look-at", "point": ("a",)}),
@@ -105,6 +106,37 @@ def test_point_that_moves_and_further_task_are_made_from_words(panda, tmp_path):
     ):
         with pytest.raises(InputError, match=words):
             TaskOptions(**options).make(panda, led="further" not in options)
+
+
+def test_further_path_is_a_turn_about_the_tool_or_a_path_as_any(panda, tmp_path):
+    (tmp_path / "roll.csv").write_text("t,z1\n0,0\n1,0.5\n2,-0.2\n")
+    (tmp_path / "turns.csv").write_text("t,roll,pitch,yaw\n0,0,0,0\n1,0.1,0,0\n")
+    R = panda.placement(REST, "panda_hand_tcp").rotation
+    for words in ("0 0; 1 0.5; 2 -0.2", str(tmp_path / "roll.csv")):
+        options = TaskOptions("point-axis", tool_axis="-x", further="orientation", further_path=words)
+        task, path = options.make_further(load_robot("panda", chain_to="panda_hand_tcp"), REST)
+        for t, angle in ((0.0, 0.0), (1.0, 0.5), (2.0, -0.2), (9.0, -0.2)):
+            z, dz, ddz = path(t)
+            np.testing.assert_allclose(z.reshape(3, 3), R @ pin.exp3(np.array([-angle, 0.0, 0.0])), atol=1e-12)
+        # Rates are those of the rotation, in the axes of the world.
+        t, h = 0.37, 1e-5
+        (z, dz, ddz), ahead, behind = path(t), path(t + h), path(t - h)
+        np.testing.assert_allclose((task.minus(ahead.z, z) - task.minus(behind.z, z)) / (2 * h), dz, atol=1e-8)
+        np.testing.assert_allclose((ahead.dz - behind.dz) / (2 * h), ddz, atol=1e-8)
+    _, path = TaskOptions(further="orientation", further_path=str(tmp_path / "turns.csv")).make_further(panda, REST)
+    np.testing.assert_allclose(path(1.0).z.reshape(3, 3), pin.exp3(np.array([0.1, 0.0, 0.0])), atol=1e-12)
+    _, path = TaskOptions(further="com", further_path="0.1 0 0.3; 0.1 0 0.4").make_further(panda, REST)
+    np.testing.assert_allclose(path(path.duration).z, [0.1, 0.0, 0.4], atol=1e-12)
+    for told, words in (
+        ("got 'circle'", {"further": "com", "further_path": "circle"}),
+        ("--point moves", {"further": "look-at", "point": (1.0, 0.0, 0.3), "further_path": "0 0; 1 1"}),
+        ("at least two rows", {"further": "orientation", "further_path": "0 0;"}),
+        ("increase", {"further": "orientation", "further_path": "0 0; 0 1"}),
+        ("--tool-axis x does not apply", {"further": "orientation", "tool_axis": "x", "further_path": "0 0 0; 0 0 1"}),
+        ("has 4 numbers|has 5 numbers", {"further": "orientation", "further_path": "0 0 0 0 1; 0 0 1 1 1"}),
+    ):
+        with pytest.raises(InputError, match=told):
+            TaskOptions(**words).make_further(panda, REST)
 
 
 def test_two_hands_and_combined_joints_are_tasks_of_options():

@@ -10,6 +10,7 @@ import pickle
 import re
 import subprocess
 import sys
+import types
 
 import numpy as np
 import pinocchio as pin
@@ -26,6 +27,7 @@ from eos_pin.robot.loading import (
     leaf_frames,
     load_robot,
 )
+from eos_pin.robot.model import Robot
 from eos_pin.robot.reading.checking import DEEPEST_TREE
 
 EXACT = 1e-11
@@ -648,8 +650,23 @@ def test_text_that_is_no_urdf_is_refused(source, message):
         load_robot(source)
 
 
+def test_modules_of_robot_descriptions_give_a_path_or_a_model(urdf):
+    """Attributes as in version 3.3: paths in a clone, which lies in a cache."""
+    module = types.ModuleType("robot_descriptions.arm_description")
+    module.URDF_PATH = str(urdf(shaped('<mesh filename="package://arm/link.stl"/>'), "clone/robots/arm/urdf/arm.urdf"))
+    module.PACKAGE_PATH = os.path.dirname(os.path.dirname(module.URDF_PATH))
+    urdf(STL, "clone/robots/arm/link.stl")
+    robot = load_robot(module.URDF_PATH, package_dirs=[module.PACKAGE_PATH])
+    assert robot.notes == ()
+    assert robot.visual.ngeoms == 1
+    # As robot_descriptions.loaders.pinocchio has it.
+    wrapper = pin.RobotWrapper.BuildFromURDF(module.URDF_PATH, [os.path.dirname(module.PACKAGE_PATH)])
+    other = Robot.from_pinocchio(wrapper.model)
+    np.testing.assert_array_equal(robot.placement([0.3], "b").homogeneous, other.placement([0.3], "b").homogeneous)
+
+
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("source", [pin.Model(), None, 7])
+@pytest.mark.parametrize("source", [pin.Model(), None, 7, types.ModuleType("arm_description")])
 def test_load_robot_refuses_other_sources(source):
     with pytest.raises(InputError, match=r"given by name, path or text .* Robot\.from_pinocchio\(model\)"):
         load_robot(source)

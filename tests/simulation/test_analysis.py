@@ -192,7 +192,7 @@ def test_command_refuses_options_that_do_not_apply(log, tmp_path, monkeypatch, c
     for words, told in (
         ("analyze log.csv", "Add --robot NAME"),
         ("analyze log.csv --robot ur5 --q0 0 0 0 0 0 0", "--q0 does not apply"),
-        ("analyze log.csv --robot ur5 --further axis", "--further does not apply"),
+        ("analyze log.csv --robot ur5 --further axis", "--further and --further-path do not apply"),
         ("analyze log.csv --robot ur5 --view", "--view does not apply"),
         ("analyze missing.csv --robot ur5", "missing.csv"),
         ("analyze log.csv --robot panda", "panda_joint1"),

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from eos_pin import (
@@ -179,19 +180,24 @@ def test_wrong_arguments_are_refused(ur5):
 @pytest.mark.usefixtures("quick_pictures")
 def test_track_commands_positions(tmp_path, capsys):
     words = (
-        "track ur5 --task point-axis --further orientation --command position --control-rate 250 --period 4 --cycles 3"
+        "track ur5 --task point-axis --further orientation --command position --control-rate 100 --period 4 --cycles 3"
     )
     words += " --cycles 2 --acceleration 20"
+    # The roll of the tool goes its own way, which the task leaves free.
+    roll = ["--further-path", "0 0; 2 0.8; 4 0"]
     files = f"--json {tmp_path}/a.json --csv {tmp_path}/a.csv --html {tmp_path}/a.html --plot {tmp_path}/a.png"
-    assert main([*words.split(), "--out", str(tmp_path), *files.split()]) == 0
+    assert main([*words.split(), *roll, "--out", str(tmp_path), *files.split()]) == 0
     assert "torque" not in capsys.readouterr().out
     figures = json.loads((tmp_path / "a.json").read_text())
     assert figures["joint_drift_per_cycle"][-1] < 1e-7
     assert figures["torque_max"] is None
-    # The roll of the tool rests, though the task leaves it free.
     assert figures["further_task"]["kind"] == "orientation"
     assert figures["further_task"]["error_max"] < 1e-9
     run = Result.load(tmp_path / "run.npz")
+    assert np.abs(run.further_error[run.settled_row :]).max() == figures["further_task"]["error_max"]
+    turn = [run.load_plant().placement(q, run.frame).rotation for q in run.q]
+    rolled = pin.log3(turn[0].T @ turn[np.searchsorted(run.t, 6.0)])
+    np.testing.assert_allclose(rolled, [0.0, 0.0, 0.8], atol=1e-9)
     assert run.info["arguments"]["acceleration"] == [20.0] * 6
     assert {path.name for path in tmp_path.iterdir()} == {"a.json", "a.csv", "a.html", "a.png", "run.npz"}
 
