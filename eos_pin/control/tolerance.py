@@ -54,7 +54,7 @@ class Bands:
         self._sides = SMALL * np.concatenate((np.eye(task.robot.n), -np.eye(task.robot.n)))
 
     def __call__(
-        self, reference: Trajectory, t: float, q: JointVector, dq: JointVector, *, pace: float = 1.0
+        self, reference: Trajectory, t: float, q: JointVector, dq: JointVector
     ) -> tuple[Float[Array, "B n"], Float[Array, " B"]]:
         """Rows S and bounds b; S ddq ≤ b keeps every band.
 
@@ -63,10 +63,9 @@ class Bands:
             t: Time on it [s].
             q: Joints.
             dq: Joint velocities.
-            pace: Speed of the time on the path.
         """
-        n, ahead, later = q.size, STEP * dq, STEP * pace
-        targets = np.array([reference(t).z, reference(t + later).z, reference(t - later).z])
+        n, ahead = q.size, STEP * dq
+        targets = np.array([reference(t).z, reference(t + STEP).z, reference(t - STEP).z])
         Q = np.concatenate(([q, q + ahead, q - ahead], q + self._sides))
         Z = np.concatenate((targets, np.broadcast_to(targets[0], (2 * n, len(targets[0])))))
         used = self.task.used(self.task.whole.kinematics.value(Q), Z)
