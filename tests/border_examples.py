@@ -191,6 +191,7 @@ def _corners():
     return np.array([[x, y, z] for x in (0.0, 0.1) for y in (0.0, 0.1) for z in (0.0, 0.1)])
 
 
+@cache
 def special(label):
     """Good values where a name means something else than elsewhere."""
     made = _made()
@@ -360,7 +361,7 @@ def callbacks():
         own.value(q), own.linearize(q), own.at(q, dq)
         eos_pin.inverse_kinematics(own, own.value(q), q)
         run(eos_pin.EosController(own, own.hold(q)))
-        eos_pin.plan(own, eos_pin.circle(own.value(q), 0.05, period=4.0), limits=limits)
+        eos_pin.plan(own, [own.value(q), z + 0.02], limits=limits)
 
     def run_reference(reference):
         run(eos_pin.EosController(task, reference))

@@ -227,8 +227,14 @@ def _middle(robot):
 
 @cache
 def all_tasks(names=("panda", "kinova", "chain")):
-    """Every task of several robots as (name, task), for `pytest.mark.parametrize`."""
-    return [(f"{name}: {kind}", task) for name in names for kind, task in every_task(robot(name)).items()]
+    """Every task of several robots as (name, task), for `pytest.mark.parametrize`.
+
+    Of kinova, a second arm, those that take most or all of its six joints, and one that leaves continuous joints.
+    """
+    tasks = {name: every_task(robot(name)) for name in names}
+    if "panda" in names and "kinova" in names:
+        tasks["kinova"] = {kind: t for kind, t in tasks["kinova"].items() if t.m > 3 or kind == "position xyz"}
+    return [(f"{name}: {kind}", task) for name in names for kind, task in tasks[name].items()]
 
 
 def every(tasks):

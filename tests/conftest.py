@@ -86,7 +86,13 @@ def unchecked():
 
 
 @pytest.fixture
-def quick_pictures(monkeypatch):
+def without_meshes(monkeypatch):
+    """Robots are drawn by their joints: for pages whose robot nobody looks at. Reading meshes takes seconds."""
+    monkeypatch.setattr(eos_pin.Robot, "visual", None)
+
+
+@pytest.fixture
+def quick_pictures(monkeypatch, without_meshes):
     """Pages of figures are empty: for what writes them beside that which is tested. Drawing takes seconds."""
     from matplotlib.figure import Figure
 

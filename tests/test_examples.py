@@ -32,7 +32,7 @@ OWN = {
 }
 
 
-@pytest.mark.usefixtures("unchecked")
+@pytest.mark.usefixtures("unchecked", "without_meshes")
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs_and_finds_its_figures(path, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

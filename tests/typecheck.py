@@ -1,6 +1,6 @@
 """The run-time type checks of the tests; a module of its own, because it is at work while eos_pin is imported.
 
-Every function of the package is checked by its annotations, shapes included, at its first calls in each test and at
+Every function of the package is checked by its annotations, shapes included, at its first call in each test and at
 some of the later ones. A fault of types shows there as surely as in a thousand calls more, at a fraction of the time.
 """
 
@@ -14,8 +14,8 @@ from typing import Any
 import jaxtyping
 from beartype import BeartypeConf, beartype
 
-#: So many calls of a function are checked in each test, and one in so many of those that follow.
-FIRST, EACH = 4, 100
+#: Of the calls of a function that follow its first one in a test, one in so many is checked.
+EACH = 100
 
 # An int is welcome wherever a float is meant.
 _check = beartype(conf=BeartypeConf(is_pep484_tower=True))
@@ -71,7 +71,7 @@ def _sampled(function: Any = None, *, typechecker: Any) -> Any:
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         count[0] += 1
-        if (count[0] > FIRST and count[0] % EACH) or jaxtyping.config.jaxtyping_disable:
+        if (count[0] > 1 and count[0] % EACH) or jaxtyping.config.jaxtyping_disable:
             return function(*args, **kwargs)
         return checked()(*args, **kwargs)
 

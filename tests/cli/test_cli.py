@@ -12,7 +12,7 @@ from eos_pin import Result
 from eos_pin.cli.main import main
 
 # The loops run for long; they are checked call by call elsewhere.
-pytestmark = pytest.mark.usefixtures("unchecked")
+pytestmark = pytest.mark.usefixtures("unchecked", "without_meshes")
 
 
 @pytest.fixture(autouse=True)
@@ -99,9 +99,9 @@ def test_track_bears_pushes_friction_and_missed_periods() -> None:
 
 @pytest.mark.usefixtures("quick_pictures")
 def test_track_takes_a_path_from_a_file_and_names_points_out_of_reach() -> None:
-    Path("path.csv").write_text("t,x,y,z\n0,0.45,0,0.7\n2,0.45,0.2,0.6\n4,0.4,0,0.6\n")
+    Path("path.csv").write_text("t,x,y,z\n0,0.45,0,0.7\n1,0.45,0.2,0.6\n2,0.4,0,0.6\n")
     assert figures("track", "panda", "--path", "path.csv")["task_error_max"] < 1e-6
-    Path("far.csv").write_text("0,0.45,0,0.7\n2,1,0,0.6\n")
+    Path("far.csv").write_text("0,0.45,0,0.7\n1,1,0,0.6\n")
     assert main(["track", "panda", "--path", "far.csv", "--json", "far.json"]) == 1
     far = json.loads(Path("far.json").read_text())
     assert far["status"] != "finished"

@@ -235,7 +235,7 @@ def test_dask_cluster_gives_the_same_table():
     distributed = pytest.importorskip("distributed")
     planned = trials(robot=["ppr", "planar_chain_10"], kp=[50.0, 100.0], control_rate=200.0, model_error=0.1, cycles=1)
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster,
         distributed.Client(cluster),
         joblib.parallel_config("dask"),
     ):

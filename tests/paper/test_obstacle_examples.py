@@ -17,7 +17,7 @@ from eos_pin.cli.output import Output
 from eos_pin.paper.obstacle_examples import panda, planar_chain
 from eos_pin.paper.run_obstacle_example import run_obstacle_example
 
-pytestmark = pytest.mark.usefixtures("unchecked")
+pytestmark = pytest.mark.usefixtures("unchecked", "without_meshes")
 
 FILES = {"json": "summary.json", "html": "replay.html", "plot": "figure.png", "csv": "samples.csv"}
 

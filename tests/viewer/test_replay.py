@@ -58,6 +58,7 @@ def test_replay_refuses_runs_without_samples(runs: dict[str, Result], tmp_path: 
         write_replay(tmp_path / "none.html", {})
 
 
+@pytest.mark.usefixtures("without_meshes")
 def test_command_shows_runs_together(
     runs: dict[str, Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
