@@ -8,8 +8,6 @@ from collections import Counter
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 PACKAGE = Path(__file__).parent.parent / "eos_pin"
 
 #: A room may import only rooms above it in this table. Of third-party packages it may import NumPy, jaxtyping and
@@ -75,20 +73,24 @@ def test_rooms_table_lists_every_room():
     assert set(ROOMS) == found, "add each new room of eos_pin to the table of this test, where it belongs"
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_module_imports_only_rooms_below(module):
-    room, order = module.split(".")[0], list(ROOMS)
-    for name, line in inside(MODULES[module]):
-        other = name.split(".")[0]
-        assert order.index(other) <= order.index(room), f"{module}:{line} imports {other}, which lies below {room}"
+def test_modules_import_only_rooms_below():
+    order, faults = list(ROOMS), []
+    for module, path in MODULES.items():
+        room = module.split(".")[0]
+        for name, line in inside(path):
+            if order.index(other := name.split(".")[0]) > order.index(room):
+                faults.append(f"{module}:{line} imports {other}, which lies below {room}")
+    assert not faults, "\n".join(faults)
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_module_uses_only_packages_of_its_room(module):
-    room = module.split(".")[0]
-    used = {name.split(".")[0] for name, _ in imported(MODULES[module])} - sys.stdlib_module_names - {"eos_pin"}
-    allowed = ROOMS[room] | (set() if room == "errors" else {"numpy", "jaxtyping", "lazy_loader"})
-    assert used <= allowed, f"{module} imports {sorted(used - allowed)}; the row of {room} does not list it"
+def test_modules_use_only_packages_of_their_room():
+    faults = []
+    for module, path in MODULES.items():
+        room = module.split(".")[0]
+        used = {name.split(".")[0] for name, _ in imported(path)} - sys.stdlib_module_names - {"eos_pin"}
+        if more := used - ROOMS[room] - (set() if room == "errors" else {"numpy", "jaxtyping", "lazy_loader"}):
+            faults.append(f"{module} imports {sorted(more)}; the row of {room} does not list it")
+    assert not faults, "\n".join(faults)
 
 
 def test_rooms_list_no_package_in_vain():
@@ -134,11 +136,13 @@ def test_paper_room_is_imported_by_scripts_only():
             assert not [name for name, _ in inside(path) if name.startswith("paper")], module
 
 
-@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.p*y*")), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_module_is_short(path):
-    if path.suffix in (".py", ".pyx", ".pxd", ".pyi"):
+def test_modules_are_short():
+    faults = []
+    for path in (path for path in PACKAGE.rglob("*") if path.suffix in (".py", ".pyx", ".pxd", ".pyi")):
         lines = len(path.read_text(encoding="utf-8").splitlines())
-        assert lines <= MOST_LINES, f"{path.name} has {lines} lines: split it by concept"
+        if lines > MOST_LINES:
+            faults.append(f"{path.relative_to(PACKAGE)} has {lines} lines: split it by concept")
+    assert not faults, "\n".join(faults)
 
 
 def test_package_is_seen_at_once():
