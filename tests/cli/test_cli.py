@@ -102,7 +102,7 @@ def test_track_takes_a_path_from_a_file_and_names_points_out_of_reach() -> None:
     Path("path.csv").write_text("t,x,y,z\n0,0.45,0,0.7\n1,0.45,0.2,0.6\n2,0.4,0,0.6\n")
     assert figures("track", "panda", "--path", "path.csv")["task_error_max"] < 1e-6
     Path("far.csv").write_text("0,0.45,0,0.7\n1,1,0,0.6\n")
-    assert main(["track", "panda", "--path", "far.csv", "--json", "far.json"]) == 1
+    assert main(["track", "panda", "--path", "far.csv", "--duration", "0.95", "--json", "far.json"]) == 1
     far = json.loads(Path("far.json").read_text())
     assert far["status"] != "finished"
     assert far["message"]
