@@ -20,7 +20,7 @@ from rich.text import Text
 
 from eos_pin._arrays import Array, JointVector
 from eos_pin._files import check_writable, write_atomically
-from eos_pin.cli.tables import fitted
+from eos_pin.cli.tables import fitted, subject
 from eos_pin.cli.tables import format_number as format_number
 from eos_pin.cli.terminal import shown, spell_output
 from eos_pin.errors import EosError, InputError
@@ -290,10 +290,8 @@ def title_of(robot: Robot, task: Task) -> str:
 
 def task_words(task: Task) -> str:
     """Task in words, such as "pose of panda_hand_tcp"."""
-    if not task.kind:
-        return str(task)
     axes = f", {task.axes}" if task.kind == "position" and task.axes != "xyz" else ""
-    return f"{task.kind}{f' of {task.frame}' if task.frame else ''}{axes}"
+    return subject(task.kind or type(task).__name__, task.frame) + axes
 
 
 def print_runs(title: str, what: str, summaries: Mapping[str, Mapping[str, Any]]) -> None:

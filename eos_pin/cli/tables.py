@@ -48,6 +48,12 @@ def drift_of_cycles(cycles: Sequence[float]) -> str:
     return f"first {first}, worst {worst}, last {last}, of {len(cycles)}"
 
 
+def subject(kind: str, frame: str | None) -> str:
+    """Kind of a task and its frame in words, such as "point and axis of tool0"."""
+    words = {"com": "centre of mass", "point_axis": "point and axis"}.get(kind, kind.replace("_", " "))
+    return " of ".join(filter(None, (words, frame)))
+
+
 def _measured(value: float) -> str:
     """Number with the units of joints and their differences; a dash if there is none."""
     found = format_number(value)
@@ -56,8 +62,7 @@ def _measured(value: float) -> str:
 
 def run_table(summary: Mapping[str, Any]) -> Table:
     """Table of one run."""
-    what = " of ".join(filter(None, (summary["task"].get("kind", "").replace("_", " "), summary["frame"])))
-    title = f"{summary['robot']}: {what}"
+    title = f"{summary['robot']}: {subject(summary['task'].get('kind', ''), summary['frame'])}"
     table = Table(title=escape(title), show_header=False)
     for _ in range(2):
         # A path or a name in a message may be longer than a line.

@@ -157,14 +157,14 @@ function explore({ scene, THREE, viewer, put, Tube, legend, poses, show, turned,
   };
   const handles = [], moved = (part, values) => { const z = Array.from(posture.z); z.splice(part.at, values.length, ...values); go(z, posture.v); };
   for (const part of robot.parts) if (part.kind === 0 || part.kind === 2)
-    handles.push({ name: "hand: drag to move the task", color: "#d55e00", joint: part.joint, local: part.tip,
+    handles.push({ name: "● hand: drag to move the task", color: "#d55e00", joint: part.joint, local: part.tip,
       mesh: knob(new THREE.SphereGeometry(.018 * size, 24, 16), "#d55e00"), drag: p => moved(part, part.kind === 2 ? p : part.axes.map(axis => p[axis])) });
-  handles.push({ name: `${data.elbow.name}: drag to move v`, color: "#0072b2", joint: data.elbow.joint, local: data.elbow.place,
+  handles.push({ name: `◆ ${data.elbow.name}: drag to move v`, color: "#0072b2", joint: data.elbow.joint, local: data.elbow.place,
     mesh: knob(new THREE.OctahedronGeometry(.024 * size), "#0072b2"), drag: p => { posture.pull(data.elbow.joint, data.elbow.place, p); say(""); update(); } });
   for (const part of robot.parts) if (part.kind === 4) {
     // A point ahead on the axis.
     const far = .12 * size, local = part.tip.map((x, i) => i < 9 ? x : x + far * part.tip[3 * (i - 9) + 2]);
-    handles.push({ name: "axis: drag to tilt it", color: "#e69f00", joint: part.joint, local, mesh: knob(new THREE.BoxGeometry(.026 * size, .026 * size, .026 * size), "#e69f00"),
+    handles.push({ name: "■ axis: drag to tilt it", color: "#e69f00", joint: part.joint, local, mesh: knob(new THREE.BoxGeometry(.026 * size, .026 * size, .026 * size), "#e69f00"),
       drag: p => {
         robot.place(posture.q);
         const from = robot.carried(part.joint, part.tip).subarray(9), way = p.map((x, i) => x - from[i]), length = Math.hypot(...way);

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import tyro
 
-from eos_pin import Atlas, Chart, PositionTask, Robot, plan
+from eos_pin import Atlas, Chart, PointAxisTask, PositionTask, Robot, plan
 from eos_pin.cli.info import command_words
 from eos_pin.cli.main import main
 from eos_pin.cli.main import run as cli_run
-from eos_pin.cli.output import console, print_runs
+from eos_pin.cli.output import console, print_runs, task_words
 from eos_pin.cli.tables import drift_of_cycles, run_table
 from eos_pin.experiments.options import RobotOptions, TaskOptions
 from eos_pin.simulation.result import Result
@@ -112,6 +112,18 @@ def test_long_results_describe_themselves_in_a_line(panda: Robot, run: Result) -
         assert len(said) < 250, said
         assert said.startswith(f"{type(thing).__name__}(")
     assert "found=True" in repr(found)
+
+
+def test_titles_are_words_and_no_representations(panda: Robot) -> None:
+    class Own(PositionTask):
+        kind = ""
+
+    for task, words in (
+        (Own(panda, "panda_hand_tcp"), "Own of panda_hand_tcp"),
+        (PositionTask(panda, "panda_hand_tcp", "xy"), "position of panda_hand_tcp, xy"),
+        (PointAxisTask(panda, "panda_hand_tcp"), "point and axis of panda_hand_tcp"),
+    ):
+        assert task_words(task) == words
 
 
 def test_advice_is_a_whole_command_that_a_shell_reads_back() -> None:
