@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -144,7 +145,8 @@ class TaskSpaceDynamics:
         return self.task.dz.size
 
     @cached_property
-    def _factor(self) -> tuple[Array, bool]:
+    def _factor(self) -> tuple[Array, Any]:
+        # The second is a bool, and an array in newer versions of SciPy.
         return scipy.linalg.cho_factor(self.robot._mass(self.q))
 
     @cached_property

@@ -17,7 +17,7 @@ from eos_pin.errors import InputError
 #: A flat task point, `Task.size` numbers.
 Point: TypeAlias = Float[np.ndarray, " size"]
 #: What a caller may give for a point: numbers, a rotation or homogeneous matrix, a `pin.SE3`.
-PointLike: TypeAlias = "Sequence[float] | Sequence[Sequence[float]] | Array | pin.SE3"
+PointLike: TypeAlias = Sequence[float] | Sequence[Sequence[float]] | Array | pin.SE3
 
 #: Kinds of parts of a task point: numbers, a rotation matrix row by row (9), an angle that wraps, a unit vector (3).
 Kind: TypeAlias = Literal["number", "rotation", "angle", "direction"]
