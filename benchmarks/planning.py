@@ -277,6 +277,8 @@ def iklink(options: argparse.Namespace) -> int:
         f"{len(jumps)} reconfigurations at {jumps.tolist()}, motion {motion.sum():.2f} rad, within limits: {inside}, "
         f"task error {found.info['task_error_max']:.1e}, {seconds:.2f} s"
     )
+    if options.write:
+        marked.fill(marked.PLANNING, "iklink", f"{len(jumps)} jumps, {motion.sum():.2f} rad of motion beside them")
     return 0 if len(jumps) <= 2 and inside else 1
 
 
@@ -324,6 +326,7 @@ def main() -> int:
     three = commands.add_parser("iklink")
     three.add_argument("path", type=Path)
     three.add_argument("urdf", type=Path)
+    three.add_argument("--write", action="store_true", help="write the figures into docs/planning.md")
     four = commands.add_parser("convergence")
     four.add_argument("--levels", type=int, default=5)
     four.add_argument("--write", action="store_true", help="write the table into docs/planning.md")

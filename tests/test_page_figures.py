@@ -80,6 +80,9 @@ def test_words_about_plans_agree_with_the_tables() -> None:
     refused = rows(repeat.partition("do not repeat:")[2])
     assert sum(row[4].startswith("refused") for row in refused) == of - counts(planned[1])[0]
     assert sum(row[4].startswith("held torques") for row in refused) == counts(planned[1])[0] - counts(held[1])[0]
+    (jumps,) = counts(place("planning", "iklink").partition(" jumps")[0])
+    assert jumps == 2
+    assert "one jump cannot do" in place("planning", "evidence")
     for name in ("joining", "disturbed"):
         assert counts(place("planning", name))[0] == sum(int(row[2]) for row in rows(place("planning", name)))
     # The cost goes to its limit with the fourth power of the number of way points on two paths.

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +25,7 @@ from eos_pin.planning import equilibria
 from eos_pin.planning.manifolds.equilibria import Equilibrium, crossings, slopes
 
 pytestmark = pytest.mark.usefixtures("unchecked")
+PAGE = (Path(__file__).parents[2] / "docs" / "explore.md").read_text(encoding="utf-8")
 
 
 @cache
@@ -42,6 +46,17 @@ def panda_pose(unchecked: None):
 @pytest.fixture
 def hanging(unchecked: None):
     return found_at("planar_chain_10", "position", gravity=(0.0, -9.81, 0.0))
+
+
+def on_the_page(what: str) -> list[int]:
+    """Numbers of stable equilibria, of their frequencies, and of unstable ones that the page has."""
+    (row,) = re.findall(rf"\| {what} \| (\d+) \| (\d+) \| .*?% \| (\d+) \|", PAGE)
+    return list(map(int, row))
+
+
+def counts(found: Sequence[Equilibrium]) -> list[int]:
+    stable = [each for each in found if each.stable]
+    return [len(stable), sum(len(each.frequencies) for each in stable), len(found) - len(stable)]
 
 
 def coordinate(each: Equilibrium, mode: int, task, q) -> np.ndarray:
@@ -103,6 +118,7 @@ def test_equilibria_predict_small_motions_of_a_chain(hanging) -> None:
 @pytest.mark.parametrize("name", ["panda", "xarm7"])
 def test_equilibria_miss_nothing(name: str) -> None:
     manifold, found = found_at(name, "pose")
+    assert counts(found) == on_the_page(f"{name}, pose")
     for i, component in enumerate(manifold.components):
         s = np.linspace(0.0, component.length, math.ceil(component.length / 1e-3))
         d = slopes(manifold.task.robot, component, s)
@@ -129,6 +145,8 @@ def test_stiffness_is_the_second_derivative_of_the_potential(panda_pose) -> None
 
 def test_equilibria_of_many_joints_are_level_and_symmetric(hanging) -> None:
     manifold, found = hanging
+    # How many unstable ones a search finds is a matter of chance.
+    assert counts(found)[:2] == on_the_page("planar_chain_10, position")[:2]
     task = manifold.task
     assert [each.potential for each in found] == sorted(each.potential for each in found)
     for each in found:
