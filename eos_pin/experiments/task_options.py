@@ -43,9 +43,9 @@ class TaskOptions:
         further: Kind of a further task that the self-motion does, as far as the task allows: to keep an orientation (so
             the roll of a tool whose axis is directed), an axis or the centre of mass where it is at the start, to look
             at --point, or to keep the distance from it.
-        further_path: Path of the further task instead, a CSV file or way points as in --path. Of an orientation also
-            rows of t [s] and a turn [rad] about --tool-axis, counted from the start, such as "0 0; 2 1.5; 4 0": a law
-            for the roll of a tool. A path that ends where it begins repeats.
+        further_path: Path of the further task, where it is not to stay: a CSV file or way points, as in --path. Of an
+            orientation also rows of t [s] and a turn [rad] about --tool-axis from the start, such as
+            "0 0; 2 1.5; 4 0", for the roll of a tool. A path that ends where it begins repeats.
     """
 
     task: TaskKind = "position"
