@@ -76,7 +76,7 @@ def points(task: Task, chart: Chart, count: int, seed: int) -> list[np.ndarray]:
     return found
 
 
-#: Postures that are compared for panda, and for each of the others.
+#: Postures at which joints are compared, and, for all robots but panda, energies and the like.
 MANY, SOME = 1000, 200
 ROBOTS = [
     ("panda", "pose"),
@@ -99,7 +99,7 @@ def test_page_computes_the_joints_that_the_package_does(name: str, kind: str) ->
     task, q = made(name, kind)
     chart = Chart.from_base(task, q)
     data, _ = described(task, q, self_collision=False)
-    states = points(task, chart, MANY if name == "panda" else SOME, 1)
+    states = points(task, chart, MANY, 1)
     cases = [{"z": task.value(x).tolist(), "v": chart.v(x).tolist()} for x in states]
     found = computed(data, cases, "return cases.map(({z, v}) => chart.reach(z, v)?.q);")
     assert max(np.abs(np.array(y) - x).max() for y, x in zip(found, states, strict=True)) < 1e-9
