@@ -291,7 +291,7 @@ def title_of(robot: Robot, task: Task) -> str:
 def task_words(task: Task) -> str:
     """Task in words, such as "pose of panda_hand_tcp"."""
     axes = f", {task.axes}" if task.kind == "position" and task.axes != "xyz" else ""
-    return subject(task.kind or type(task).__name__, task.frame) + axes
+    return subject(task.kind, task.frame) + axes
 
 
 def print_runs(title: str, what: str, summaries: Mapping[str, Mapping[str, Any]]) -> None:
