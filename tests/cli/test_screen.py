@@ -115,11 +115,7 @@ def test_long_results_describe_themselves_in_a_line(panda: Robot, run: Result) -
 
 
 def test_titles_are_words_and_no_representations(panda: Robot) -> None:
-    class Own(PositionTask):
-        kind = ""
-
     for task, words in (
-        (Own(panda, "panda_hand_tcp"), "Own of panda_hand_tcp"),
         (PositionTask(panda, "panda_hand_tcp", "xy"), "position of panda_hand_tcp, xy"),
         (PointAxisTask(panda, "panda_hand_tcp"), "point and axis of panda_hand_tcp"),
     ):
