@@ -31,6 +31,8 @@ WHOLE = 2
 CONFIRMED = 2
 #: Weights of the barriers while ways are compared.
 ROUGH = (0.3, 0.03)
+#: Difference up to which joints came back to where they began, whole turns left out [rad or m].
+BACK = 1e-3
 #: A closed path without a closed way, in words.
 ASTRAY = "the postures that were found do not lead back to where they began"
 
@@ -87,7 +89,7 @@ class Search:
         self.best: Array | None = None
         self.failures: list[tuple[Failure, int]] = []
         self.notes: list[str] = []
-        self.stride, self.confirmed, self.wound = 1, False, False
+        self.last, self.confirmed, self.wound = Attempt(1, 0, False), False, False
         self.began = time.thread_time()
 
     @property
@@ -194,24 +196,22 @@ class Search:
         ways = whole.ways(self.most)
         self._take(ways, Course(problem, whole.Z, dt, True), rows, stride > 1)
         if whole.wound:
-            self.wound = True
-            self.notes.append(
-                f"where it closes, {', '.join(map(repr, whole.wound))} would turn a whole turn each round, which winds "
-                f"cables up{self._winding(whole.wound)}"
-            )
+            self._note_winding(whole.wound)
         return bool(ways)
 
-    def _winding(self, wound: Sequence[str]) -> str:
-        """Whether joints may be allowed to wind, in words."""
-        robot = self.problem.manifold.robot
-        free = {joint.name for joint, free in zip(robot.joints, robot.continuous, strict=True) if free}
-        if set(wound) <= free:
-            return "; allow_winding=True (--allow-winding) lets them"
-        return ""
+    def _note_winding(self, wound: Sequence[str]) -> None:
+        """Note joints that turn a whole turn in each closed way, and whether they may be allowed to."""
+        may, joints = replace(self.problem, winding=True).winds, self.problem.manifold.robot.joints
+        free = {joint.name for joint, free in zip(joints, may, strict=True) if free}
+        self.wound = True
+        self.notes.append(
+            f"where it closes, {', '.join(map(repr, wound))} would turn a whole turn each round, which winds cables up"
+            + "; allow_winding=True (--allow-winding) lets them" * (set(wound) <= free)
+        )
 
     def _attempt(self, attempt: Attempt) -> None:
         grid, problem = self.grid, self.problem
-        rows, self.stride = grid.rows(attempt.stride), attempt.stride
+        rows, self.last = grid.rows(attempt.stride), attempt
         dt = grid.dt_between(rows)
         step = None if self.step is None or not attempt.bounded else grid.summed(self.step, rows)
         total = len(rows) * (2 if grid.closed else 1)
@@ -316,7 +316,7 @@ class Search:
         grid, problem = self.grid, self.problem
         spent = time.thread_time() - self.began
         twice = ". A search with twice as many points and postures found none either" if self.confirmed else ""
-        lost, stride, gap = self.failures if not self.notes else [], self.stride, ""
+        lost, stride, gap = self.failures if not self.notes else [], self.last.stride, ""
         if grid.closed and not lost and not self.reconfigurations and {*self.notes} <= {ASTRAY}:
             lost, stride, gap = self._once_round()
         if lost:
@@ -355,18 +355,22 @@ class Search:
             f"no {kind} was found ({problem.r} redundant joints, {len(grid.Z)} points): {reasons}{gap}{twice}. "
             + (helps or next_steps(problem, ())),
             None,
-            1.0 if gap else 0.0,
+            1.0 if gap or self.wound else 0.0,
         )
 
     def _once_round(self) -> tuple[list[tuple[Failure, int]], int, str]:
         """Failures of a round that need not end at its start, and their stride; or the gap of one, in words."""
         step = None if self.step is None else np.concatenate((self.step, self.step[:1]))
         once = Search(self.problem, self.grid.opened(), step, (self.start, None), False, self.seed, self.progress, 1)
-        q = once.run(1)
-        if q is None:
-            return once.failures, once.stride, ""
-        apart = np.abs(q[-1] - q[0])
-        joint = self.problem.manifold.robot.joints[int(apart.argmax())]
+        # As fine as where postures were found all the way.
+        once._attempt(self.last)
+        if (q := once.best) is None:
+            return once.failures, once.last.stride, ""
+        robot, apart = self.problem.manifold.robot, np.abs(q[-1] - q[0])
+        if np.abs(robot._way(q[0], q[-1])).max() < BACK < apart.max():
+            self._note_winding([joint.name for joint, way in zip(robot.joints, apart, strict=True) if way > BACK])
+            return [], 1, ""
+        joint = robot.joints[int(apart.argmax())]
         unit = "m" if joint.kind == "prismatic" else "rad"
         return [], 1, f"; joints that went once round ended with {joint.name!r} {apart.max():.3g} {unit} from its start"
 
@@ -380,7 +384,7 @@ class Search:
             ends = self.start, self.end if change.size == 1.0 else None
             return Search(change.problem, path, bounds, ends, change.jumps, self.seed, deadline, 2).run(1)
 
-        changes = changes_for(problem, bars, self.reconfigurations, grid.closed, step is not None)
+        changes = changes_for(problem, bars, self.reconfigurations, grid.closed and not self.wound, step is not None)
         helpful, useless = tried(changes, solve, spent)
         if helpful:
             return f"With {helpful[0]} there is one" + (f", not yet with {' or '.join(useless)}" if useless else "")

@@ -78,8 +78,20 @@ def test_refusal_of_a_closed_path_has_the_end_of_a_round_or_its_gap(two_links):
         plan(task, circle, closed=True, limits=([-2.0, -2.0], [2.0, 2.0]), effort=1)
     # The first joint is half the elbow's angle, which is ±0.635 rad, behind the direction of the tip.
     assert s[refused.value.waypoint] < 2.0 + 0.5 * 2.0 * np.arccos(0.95) < s[refused.value.waypoint + 2]
-    with pytest.raises(PlanError, match=r"went once round ended with 'joint1' 6\.28 rad from its start"):
+    with pytest.raises(PlanError, match=r"'joint1' would turn a whole turn .*; allow_winding=True .* lets them"):
         plan(task, circle, closed=True, effort=1)
+    with pytest.raises(PlanError, match=r"'joint1' would turn a whole turn each round, which winds cables up\. "):
+        plan(task, circle, closed=True, limits=([-9.0, -2.0], [9.0, 2.0]), effort=1)
+    three = PositionTask(links(3), "link4", "xy")
+    with pytest.raises(PlanError, match=r"went once round ended with 'joint1' 6\.\d+ rad from its start"):
+        plan(
+            three,
+            circle,
+            closed=True,
+            start=[-1.1257778752514458, 1.1455671113422463, 1.0620320727714923],
+            limits=([-9.0] * 3, [9.0] * 3),
+            effort=1,
+        )
 
 
 def test_refusal_counts_the_components_that_limits_bar():
