@@ -24,7 +24,6 @@ class SelfTargets:
         before: Target a period before, by its velocity.
         factors: Both factors of `decay`; None for a law that is an acceleration.
         joints: Whether the targets are joints.
-        beside: Whether the acceleration takes account of how the task moves the robot.
     """
 
     of: Any
@@ -34,7 +33,6 @@ class SelfTargets:
     before: Any = None
     factors: Any = None
     joints: bool = False
-    beside: bool = False
 
     def placed(self, q: JointVector, u: JointVector, before: Any) -> SelfTargets:
         """Targets with the state at the step taken into account; arguments as in `acceleration`."""
@@ -58,9 +56,9 @@ class SelfTargets:
         """
         if self.factors is None:
             found: SelfMotionVector = (
-                self.of._acceleration_beside(t, q, u, chart, J, asked)
-                if self.beside
-                else self.of.acceleration(t, q, u, chart)
+                self.of.acceleration(t, q, u, chart)
+                if self.of.independent
+                else self.of._acceleration_beside(t, q, u, chart, J, asked)
             )
             return found
         h, (a1, a2) = self.period, self.factors

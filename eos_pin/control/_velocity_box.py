@@ -122,11 +122,9 @@ def compiled_step(
     chart, kinematics = on.chart, on.chart.task.kinematics
     # The kinematics of a tolerance are of another task, with other points.
     own = kinematics.compiled and kinematics.task is chart.task
-    if kernels is None or not own or on.drive._kernel is None:
+    if kernels is None or not own or on.drive._kernel is None or not self_motion.independent:
         return None
     law, held = self_motion.sampled_targets(on.since, settings[0], 0.0, chart.r), self_motion._held_law(chart.r)
-    if law.beside:
-        return None
     return kernels.KinematicStep(
         on.drive._made_from, kinematics._chain, (chart.q_bar, chart._v_zero), chart.task.robot.continuous, TURN,
         atlas.threshold, partial(atlas._serves, chart), factors, held and (held[2], *law.factors), law.of, reference,

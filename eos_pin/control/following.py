@@ -262,9 +262,7 @@ class TrackTask(Objective):
         rest = self.rest._sampled_targets(t, period, step, r)
         before = self.task._plus(at.z, -step * at.dz)
         factors = decay(*self._gains, period)
-        return FurtherTargets(
-            self, period, (at.z, rest), ahead.z, (before, None), factors, beside=True, rest=rest, t=t, step=step
-        )
+        return FurtherTargets(self, period, (at.z, rest), ahead.z, (before, None), factors, rest=rest, t=t, step=step)
 
     def further(self, t: float, q: JointVector, change: JointVector) -> Further:
         z, J = self.task._set_time(t)._linearize(q)
@@ -340,6 +338,11 @@ class SumObjective(Objective):
 
     parts = property(lambda self: self._parts, doc="The objectives.")
 
+    @property
+    def independent(self) -> bool:  # type: ignore[override]
+        """Whether F_v is the same beside any motion of the task."""
+        return all(part.independent for part in self.parts)
+
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
         return np.sum([part._acceleration(t, q, dq, chart) for part in self.parts], axis=0)
 
@@ -347,10 +350,6 @@ class SumObjective(Objective):
         self, t: float, q: JointVector, dq: JointVector, chart: Chart, J: Jacobian, task: TaskVector
     ) -> SelfMotionVector:
         return np.sum([part._acceleration_beside(t, q, dq, chart, J, task) for part in self.parts], axis=0)
-
-    def sampled_targets(self, t: float, period: float, step: float, r: int) -> SelfTargets:
-        beside = any(part._sampled_targets(t, period, step, r).beside for part in self.parts)
-        return SelfTargets(self, period, beside=beside)
 
     def further(self, t: float, q: JointVector, change: JointVector) -> Further | None:
         found = (part._further(t, q, change) for part in self.parts)

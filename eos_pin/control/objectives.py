@@ -70,6 +70,13 @@ class Objective(Checked, ABC):
     examples/09_own_objective.py; every other method has a default.
     """
 
+    #: Whether F_v is the same beside any motion of the task: not in a class that defines `acceleration_beside`.
+    independent: bool = True
+
+    def __init_subclass__(cls, **rest: Any) -> None:
+        stands_for(cls, "independent", "acceleration_beside", off=False)
+        super().__init_subclass__(**rest)
+
     @abstractmethod
     @checked
     def acceleration(self, t: float, q: JointVector, dq: JointVector, chart: Chart) -> SelfMotionVector:
@@ -197,8 +204,8 @@ class Track(Objective):
 
     def __init_subclass__(cls, **rest: Any) -> None:
         # A law of one's own counts.
-        stands_for(cls, "held_law", "acceleration", off=Objective.held_law)
-        stands_for(cls, "sampled_targets", "acceleration", off=Objective.sampled_targets)
+        stands_for(cls, "held_law", "acceleration", "acceleration_beside", off=Objective.held_law)
+        stands_for(cls, "sampled_targets", "acceleration", "acceleration_beside", off=Objective.sampled_targets)
         super().__init_subclass__(**rest)
 
     def __setattr__(self, name: str, value: Any) -> None:

@@ -19,6 +19,7 @@ from eos_pin import (
     PositionTask,
     Posture,
     StateError,
+    SumObjective,
     Target,
     Track,
     Trajectory,
@@ -100,6 +101,27 @@ def test_kinematic_loop_follows_joints_on_any_chart(panda):
     loop = KinematicLoop(task, Path(), FollowJoints(joints), control_period=0.002)
     q, _ = run(loop, REST, 1500)
     np.testing.assert_allclose(q[-1], joints(3.0)[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("summed", [False, True])
+def test_kinematic_loop_asks_a_law_beside_the_task_for_its_acceleration(panda, summed):
+    class Beside(Damp):
+        """Also moves v where the task is accelerated, which `acceleration` alone does not know."""
+
+        def acceleration_beside(self, t, q, dq, chart, J, task):
+            asked.append(task)
+            return self.acceleration(t, q, dq, chart) + np.abs(task).max()
+
+    asked: list[np.ndarray] = []
+    task, law = PositionTask(panda, HAND), Beside(5.0)
+    assert not law.independent
+    assert Damp(5.0).independent
+    law = SumObjective([Posture(REST), law]) if summed else law
+    path = circle(task.value(REST), 0.05, period=2.0, plane="yz")
+    q, _ = run(KinematicLoop(task, path, law, control_period=0.004), REST, 20)
+    assert len(asked) >= 19
+    plain, _ = run(KinematicLoop(task, path, Damp(5.0), control_period=0.004), REST, 20)
+    assert np.abs(q - plain).max() > 1e-6
 
 
 @pytest.mark.parametrize("seed", range(6))
