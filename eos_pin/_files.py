@@ -35,10 +35,11 @@ def write_atomically(path: str | Path, write: Callable[[IO[bytes]], object]) -> 
             with suppress(OSError):
                 if old.stat().st_mtime < time.time() - STALE:
                     old.unlink()
-        with tempfile.NamedTemporaryFile(
-            dir=path.parent, prefix=f".{path.name}.", suffix=".part", delete=False
-        ) as file:
-            temporary = Path(file.name)
+        # No object of Python's own, in whose __del__ Ctrl-C would be lost with a traceback.
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        temporary = Path(name)
+        os.close(handle)
+        with temporary.open("w+b") as file:
             write(file)
             file.flush()
             os.fsync(file.fileno())
