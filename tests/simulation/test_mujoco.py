@@ -80,7 +80,7 @@ def test_inverse_dynamics_undo_forward_dynamics():
 def test_mass_and_bias_are_those_that_mujoco_reads_from_the_urdf(name):
     ours = arm(name)
     plant, (model, data) = MujocoPlant.from_robot(ours), read_by_mujoco(ours)
-    for q, dq in states(ours.n, 200):
+    for q, dq in states(ours.n, 1000):
         data.qpos[:], data.qvel[:] = q, dq
         mujoco.mj_forward(model, data)
         M = np.zeros((ours.n, ours.n))
@@ -170,7 +170,7 @@ def test_mujoco_plant_agrees_in_closed_loop(panda, kind):
 
 @pytest.mark.slow
 def test_integrator_of_order_1_agrees_at_a_fine_step(panda):
-    controller, options = control(panda, "position"), {"duration": 4.0, "record_rate": 20.0}
+    controller, options = control(panda, "position"), {"duration": 10.0, "record_rate": 20.0}
     ours = simulate_sampled(panda, controller, REST, **options)
     euler = simulate_sampled(
         MujocoPlant.from_robot(panda, integrator="Euler"), controller, REST, substeps=20, **options

@@ -76,8 +76,6 @@ def points(task: Task, chart: Chart, count: int, seed: int) -> list[np.ndarray]:
     return found
 
 
-#: Postures at which joints are compared, and, for all robots but panda, energies and the like.
-MANY, SOME = 1000, 200
 ROBOTS = [
     ("panda", "pose"),
     ("xarm7", "position"),
@@ -99,7 +97,7 @@ def test_page_computes_the_joints_that_the_package_does(name: str, kind: str) ->
     task, q = made(name, kind)
     chart = Chart.from_base(task, q)
     data, _ = described(task, q, self_collision=False)
-    states = points(task, chart, MANY, 1)
+    states = points(task, chart, 1000, 1)
     cases = [{"z": task.value(x).tolist(), "v": chart.v(x).tolist()} for x in states]
     found = computed(data, cases, "return cases.map(({z, v}) => chart.reach(z, v)?.q);")
     assert max(np.abs(np.array(y) - x).max() for y, x in zip(found, states, strict=True)) < 1e-9
@@ -126,12 +124,12 @@ def test_page_changes_charts_as_the_package_does(name: str, kind: str) -> None:
 @needs_node
 @pytest.mark.parametrize(("name", "kind"), ROBOTS[:3])
 def test_page_computes_gravity_inertia_and_distances(name: str, kind: str) -> None:
-    """All that is shown as colour, at postures on the chart and beyond its edge."""
+    """All that is shown as colour, at a thousand postures on the chart and beyond its edge."""
     task, q = made(name, kind)
     robot, chart = task.robot, Chart.from_base(task, q)
     data, _ = described(task, q)
     random, states = np.random.default_rng(3), []
-    while len(states) < (MANY if name == "panda" else SOME):
+    while len(states) < 1000:
         x = q + random.uniform(-2.0, 2.0, robot.n)
         sigma = np.linalg.svd(task.linearize(x)[1], compute_uv=False)
         # Rounding grows with the condition of G'.
