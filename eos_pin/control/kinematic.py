@@ -339,7 +339,7 @@ class KinematicLoop:
                 f"no finite command at t = {t!r} s: the reference or the self-motion asks for {a.tolist()}"
             )
         if (within != u_next).any():
-            q_next, z = q + h * within, task._value(q + h * within)
+            z = task._value(q_next := q + h * within)
         deficit = task._minus(goal, z) / h**2
         self._limit_change = (q_next - p) / h**2 - found.a if limited else 0.0 * u
         return KinematicState(

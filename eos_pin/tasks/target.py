@@ -79,6 +79,11 @@ class Trajectory(ABC):
     def __call__(self, t: float) -> Target:
         """Target at time t [s]."""
 
+    def _take_times(self, other: Trajectory) -> None:
+        """Take period, duration, beginning and notes from a trajectory that this one is made of."""
+        for name in ("period", "duration", "begin", "notes"):
+            object.__setattr__(self, name, getattr(other, name))
+
 
 @by_value
 @dataclass(frozen=True, eq=False)

@@ -77,8 +77,7 @@ class Turned(Trajectory):
     angle: Trajectory
 
     def __post_init__(self) -> None:
-        for name in ("period", "duration", "begin", "notes"):
-            object.__setattr__(self, name, getattr(self.angle, name))
+        self._take_times(self.angle)
 
     def __call__(self, t: float) -> Target:
         (angle,), rate, bend = self.angle(t)

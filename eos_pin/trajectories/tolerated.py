@@ -24,8 +24,7 @@ class ToleratedPath(Trajectory):
     path: Trajectory
 
     def __post_init__(self) -> None:
-        for name in ("period", "duration", "begin", "notes"):
-            object.__setattr__(self, name, getattr(self.path, name))
+        self._take_times(self.path)
 
     def __call__(self, t: float) -> Target:
         z, dz, ddz = self.path(t)
