@@ -71,9 +71,12 @@ def check_of(name: str, hint: Any, default: Any, *, result: bool = False) -> Che
         return check if check is None or len(others) == len(choices) else _or_none(check)
     if hint is bool:
         return Check(lambda value, known: truth(value, name))
-    if result and typing.get_origin(hint) is tuple and Ellipsis not in choices:
-        return _fixed(name, [check_of(f"each part of {name}", choice, math.inf, result=True) for choice in choices])
-    if (origin := typing.get_origin(hint)) in _SEVERAL:
+    origin = typing.get_origin(hint)
+    # Of parameters only those of different classes: things of one kind are looked at one by one.
+    if origin is tuple and Ellipsis not in choices and (result or _differ(choices)):
+        parts = [check_of(f"each part of {name}", choice, math.inf, result=result) for choice in choices]
+        return _fixed(name, parts, (tuple,) if result else (tuple, list))
+    if origin in _SEVERAL:
         return Check(lambda value, known: _several(value, name, origin, choices), _unmarked)
     if origin is Callable:
         return Check(lambda value, known: _callable(value, name))
@@ -122,11 +125,16 @@ def _named_tuple(name: str, kind: Any, result: bool) -> Check:
     return Check(run, _unmarked)
 
 
-def _fixed(name: str, checks: Sequence[Check | None]) -> Check:
-    """The check of a tuple of some length, part by part."""
+def _differ(choices: Sequence[Any]) -> bool:
+    """Whether these are classes, and not all the same."""
+    return all(map(_is_class, choices)) and len(set(choices)) > 1
+
+
+def _fixed(name: str, checks: Sequence[Check | None], kinds: tuple[type[Any], ...]) -> Check:
+    """The check of a tuple of some length, part by part, given as one of some kinds."""
 
     def run(value: Any, known: Sequence[Any]) -> Any:
-        if not isinstance(value, tuple) or len(value) != len(checks):
+        if not isinstance(value, kinds) or len(value) != len(checks):
             raise InputError(f"{name} must be a tuple of {len(checks)}, got {value!r}")
         parts = zip(value, checks, strict=True)
         return tuple(part if check is None else check.run(part, known) for part, check in parts)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from eos_pin._arrays import JointVector, checked, number, pair, vector
+from eos_pin._arrays import JointVector, checked, number, vector
 from eos_pin.errors import InputError, Renamed
 from eos_pin.experiments.applicability import check_applicable
 from eos_pin.experiments.task_options import TaskOptions as TaskOptions
@@ -232,7 +232,7 @@ class ControlOptions:
         gains = {"kp": self.kp_self_motion, "kd": self.kd_self_motion}
         r = task.robot.n - task.m
         if further is not None and r:
-            other, path = pair(further, "the further task and its path")
+            other, path = further
             return TrackTask(other, path, rest=self._law(task, reference, q), **gains)
         named = ("v", "swing", "self_motion", "kp_self_motion", "kd_self_motion", "chart_margin", "metric")
         if not r and (further or any(getattr(self, name) != getattr(ControlOptions, name) for name in named)):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -18,7 +20,8 @@ from eos_pin import (
     make_task,
     plan,
 )
-from eos_pin.experiments.options import PathOptions, RobotOptions, TaskOptions
+from eos_pin.cli.main import main
+from eos_pin.experiments.options import ControlOptions, PathOptions, RobotOptions, TaskOptions
 from eos_pin.experiments.path_files import path_from_csv
 from eos_pin.trajectories.through import read_path
 
@@ -137,6 +140,27 @@ def test_further_path_is_a_turn_about_the_tool_or_a_path_as_any(panda, tmp_path)
     ):
         with pytest.raises(InputError, match=told):
             TaskOptions(**words).make_further(panda, REST)
+
+
+@pytest.mark.usefixtures("unchecked", "quick_pictures")
+@pytest.mark.parametrize("path", ["", "0 0; 0.5 0.3; 1 0"])
+def test_further_task_is_done_by_torques(tmp_path, path):
+    words = "track ur5 --task point-axis --further orientation --size 0.02 --period 1 --cycles 1"
+    assert main([*words.split(), *["--further-path", path] * bool(path), "--out", str(tmp_path)]) == 0
+    beside = json.loads((tmp_path / "summary.json").read_text())["further_task"]
+    assert beside["kind"] == "orientation"
+    assert beside["error_max"] < 1e-6
+
+
+def test_further_task_and_its_path_are_two_things_of_their_kinds(panda):
+    robot = load_robot("panda", chain_to="panda_hand_tcp")
+    task, q = TaskOptions().make(robot)
+    further, path = TaskOptions(further="com").make_further(robot, REST)
+    control = ControlOptions()
+    assert control.make(task, task.hold(q), q, None, further=[further, path]).self_motion.task is further
+    for wrong in ([further], [path, further], [further, path, path], further):
+        with pytest.raises(InputError, match="further must be"):
+            control.make(task, task.hold(q), q, None, further=wrong)
 
 
 def test_two_hands_and_combined_joints_are_tasks_of_options():
