@@ -82,7 +82,8 @@ def broken_at(problem: Problem, q: Float[Array, "L n"], between: Float[Array, "L
     on, found = problem.manifold.project(middle, between.T, iterations=10)
     motion = (following - q).T
     # A step so long may lead over a limit, or to another branch.
-    wrong = ~is_near(on, found, middle, motion) | (np.abs(motion) > FAR * problem.scale[:, None]).any(axis=0)
+    wrong = ~(is_near(on, found, middle, motion) & problem.clear_halfway(on, motion))
+    wrong |= (np.abs(motion) > FAR * problem.scale[:, None]).any(axis=0)
     return int(wrong.argmax()) if wrong.any() else None
 
 
@@ -229,6 +230,7 @@ def unbroken(
         middle = a + 0.5 * way
         on, found = problem.manifold.project(middle, Z, iterations=10)
         near = is_near(on, found, middle, way)
+        near[near] = problem.clear_halfway(home(on[:, near]), way[:, near])
         size = np.abs(way / problem.scale[:, None]).max(axis=0)
         far = np.flatnonzero(near & (size > LONG))
         if len(far):

@@ -20,7 +20,7 @@ from eos_pin.planning.limit_use import MotionLimits, limit_use
 from eos_pin.planning.obstacles.bodies import Bodies
 from eos_pin.planning.obstacles.scene import Scene
 from eos_pin.planning.plans import Plan
-from eos_pin.planning.problem import given, problem_of
+from eos_pin.planning.problem import Problem, given, problem_of
 from eos_pin.planning.refine import refine
 from eos_pin.planning.report import figures
 from eos_pin.planning.timing import check_limits, in_time
@@ -34,6 +34,8 @@ MARGIN = 0.01
 FINER = 3
 #: Distance that is kept at points for each unit that is lacking between them, and more in any case [m].
 FURTHER, SPARE = 1.25, 1e-4
+#: Distance that is kept by a further search where an obstacle is thinner than steps are long, in reaches.
+WIDER = 2.5e-3
 #: Part of the velocity limits that is left free where they were exceeded between points.
 SLOWER = 2e-3
 #: Part of the velocity limits beyond them from which a pace that was given is refused.
@@ -130,28 +132,67 @@ def plan(
         )
     ends = given(start, task, grid.Z[0], "start"), given(end, task, grid.Z[-1], "end")
     search = Search(problem, grid, step, ends, reconfigurations, seed, progress)
+    try:
+        rows = None if guess is None else _rows(guess, (grid.count, task.robot.n))
+        return in_time(_clear(search, rows, effort, timed, began), timed, acceleration, torque)
+    except PlanError as error:
+        error.info = {
+            "waypoints": grid.count,
+            "closed": grid.closed,
+            "seconds": time.perf_counter() - began,
+            **error.info,
+        }
+        raise
+
+
+def _clear(search: Search, guess: Array | None, effort: int, timed: bool, began: float) -> Plan:
+    """The plan that a search finds, or a further one where that leads through something thin between two points."""
+    problem, grid, step = search.problem, search.grid, search.step
+    made = _searched(search, problem, guess, effort, timed, began)
+    if made.status == "planned" and not search.reconfigurations and _lacking(made, problem) > SPARE:
+        wider = replace(problem, gap=problem.gap + WIDER * problem.manifold.robot.reach, sag=0.0)
+        again = Search(wider, grid, step, (search.start, search.end), False, search.seed, search.progress)
+        through = f"{made.info['message']}, and of motions that keep {wider.gap:.3g} m at the points"
+        try:
+            made = _searched(again, problem, None, effort, timed, began)
+        except PlanError as error:
+            if error.stopped:
+                raise
+            raise PlanError(f"{through} none was found: {error}", error.waypoint, error.reached) from error
+        if _lacking(made, problem) > SPARE:
+            raise PlanError(f"{through} the one that was found does so, too; the passage is too narrow")
+    if timed and made.status == "planned" and (made.info["velocity_part_max"] or 0.0) > 1.0 + TOO_FAST:
+        check_limits(made, MotionLimits.of(made.robot))
+    return made
+
+
+def _searched(search: Search, problem: Problem, guess: Array | None, effort: int, timed: bool, began: float) -> Plan:
+    """The plan that a search finds, or the best so far where a person stops it; measured by a problem."""
     status = "planned"
-    refused: PlanError | None = None
     try:
         if guess is not None:
-            search.begin_from(_rows(guess, (grid.count, task.robot.n)))
+            search.begin_from(guess)
         q = search.run(effort)
-        refused = search.refusal() if q is None else None
+        if q is None:
+            raise search.refusal()
     except KeyboardInterrupt as interrupt:
         take(interrupt)
         q, status = search.best, "interrupted"
-        refused = PlanError("stopped before any motion was found", stopped=True) if q is None else None
-    if refused is not None or q is None:
-        assert refused is not None
-        refused.info = {"waypoints": grid.count, "closed": grid.closed, "seconds": time.perf_counter() - began}
-        raise refused
-    return in_time(_finished(search, q, status, timed, began, seed), timed, acceleration, torque)
+        if q is None:
+            raise PlanError("stopped before any motion was found", stopped=True) from None
+    return _finished(search, q, problem, status, timed, began)
 
 
-def _finished(search: Search, q: Array, status: str, timed: bool, began: float, seed: int) -> Plan:
+def _lacking(made: Plan, problem: Problem) -> float:
+    """Distance that is lacking between points [m]."""
+    clear = made.info["clearance_between_min"]
+    return 0.0 if clear is None else max(problem.gap - clear, 0.0)
+
+
+def _finished(search: Search, q: Array, problem: Problem, status: str, timed: bool, began: float) -> Plan:
     """The plan through joints at the points, more and tighter ones where between them something is not kept."""
     best: Plan | None = None
-    least, problem, task = np.inf, search.problem, search.problem.manifold.task
+    least, task, seed = np.inf, problem.manifold.task, search.seed
     for looked in range(FINER + 1):
         grid = search.grid
         made = Plan(task, grid.path, *grid.knots(q, problem.again(q)), grid.closed, status, {})
@@ -163,12 +204,12 @@ def _finished(search: Search, q: Array, status: str, timed: bool, began: float, 
             unclear = error
             again = search.finer(q)
         else:
-            clear = info["clearance_between_min"]
-            lacking = 0.0 if clear is None else max(problem.gap - clear, 0.0)
+            made = replace(made, info=info, jumps=tuple(search.jumps(q)))
+            lacking = _lacking(made, problem)
             fast = _fast(made, info) if timed and not search.reconfigurations else 0.0
             short = lacking + max(fast - 1.0, 0.0)
             if short < least:
-                best, least = replace(made, info=info, jumps=tuple(search.jumps(q))), short
+                best, least = made, short
             if short > 0.0 and status == "planned" and not search.reconfigurations:
                 # A chord cuts the corner of a box: less with more points, and the rest is kept clear of by distance.
                 again = search.finer(q) if lacking and not looked else _tighter(search, q, lacking, fast)
@@ -177,8 +218,6 @@ def _finished(search: Search, q: Array, status: str, timed: bool, began: float, 
         q = again
     if best is None:
         raise unclear
-    if timed and status == "planned" and (best.info["velocity_part_max"] or 0.0) > 1.0 + TOO_FAST:
-        check_limits(best, MotionLimits.of(best.robot))
     return best
 
 

@@ -63,6 +63,7 @@ class Problem:
         weights: Weight of each joint's motion in the cost, (n,).
         posture_cost: Cost of being at a posture, per unit of time; None without.
         winding: Whether joints without limits may end a closed path whole turns away from where they began.
+        sag: Part of the reach that a chord of a radian may sag into an obstacle halfway between allowed postures.
     """
 
     manifold: Manifold
@@ -73,6 +74,7 @@ class Problem:
     weights: Array
     posture_cost: PostureCost | None = None
     winding: bool = False
+    sag: float = 0.25
 
     @cached_property
     def bands(self) -> Task | None:
@@ -138,6 +140,18 @@ class Problem:
         if self.clearances is not None and len(self.clearances) and allowed.any():
             allowed[allowed] = self.clearances(Q[:, allowed]) >= self.gap
         return allowed
+
+    def clear_halfway(self, Q: Float[Array, "n K"], motion: Float[Array, "n K"]) -> Bool[Array, " K"]:
+        """Whether postures halfway along motions are as clear as those at their ends, but for the sag of a chord.
+
+        Args:
+            Q: Postures halfway.
+            motion: Motions whose ends are clear; a thin obstacle may lie between these.
+        """
+        if self.clearances is None or not len(self.clearances):
+            return np.ones(Q.shape[1], bool)
+        sag = self.sag * self.manifold.robot.reach * np.square(np.abs(motion / self.scale[:, None]).max(axis=0))
+        return np.asarray(self.clearances(Q) >= self.gap - sag)
 
     def random(self, random: np.random.Generator, count: int) -> Float[Array, "n count"]:
         """Random postures within the bounds for sampling."""
