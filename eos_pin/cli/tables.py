@@ -89,6 +89,9 @@ def run_table(summary: Mapping[str, Any]) -> Table:
         beside = summary["further_task"]
         what = f"further task, {beside['kind']} of {beside['frame']}: error, {settled}"
         table.add_row(what, _measured(beside["error_max"]))
+    for name, part in (summary["tolerance_used"] or {}).items():
+        text = f"{part:.4g}"
+        table.add_row(f"largest part of the tolerance {name}", f"[bold red]{text}[/]" if part > 1.001 else text)
     table.add_row("chart switches", str(summary["chart_switches"]))
     if summary["coupling"]:
         text = f"median {summary['coupling']['median']:.2f}, at most {summary['coupling']['max']:.2f}"

@@ -9,7 +9,6 @@ from .following import FollowPlan as FollowPlan
 from .following import SumObjective as SumObjective
 from .following import TrackTask as TrackTask
 from .joining import journey as journey
-from .kinematic import Command as Command
 from .kinematic import KinematicLoop as KinematicLoop
 from .limited import JointLimits as JointLimits
 from .limited import LimitedEosController as LimitedEosController
@@ -27,4 +26,5 @@ from .operational import NullSpaceLaw as NullSpaceLaw
 from .operational import OperationalSpaceController as OperationalSpaceController
 from .operational import PostureNullSpace as PostureNullSpace
 from .overload import gravity_overload as gravity_overload
+from .state import Command as Command
 from .tolerance import KeepTolerance as KeepTolerance

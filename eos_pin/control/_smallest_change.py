@@ -223,7 +223,9 @@ class SmallestChange:
             most: Largest change.
         """
         without = np.full(least.size, FAR)
-        change = self(J, np.eye(least.size), np.concatenate((-without, least)), np.concatenate((without, most)))
+        # daqp may find no end where bounds are the same to rounding.
+        lower, upper = np.concatenate((-without, least - HAIR)), np.concatenate((without, most + HAIR))
+        change = self(J, np.eye(least.size), lower, upper)
         return np.minimum(np.maximum(change, least), most)
 
     def with_bands(self, J: Jacobian) -> Float[Array, "rows n"]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from eos_pin._arrays import (
     PositiveOrInfinite,
     TaskVector,
     VectorLike,
-    by_value,
     checked,
     frozen_copy,
     gains,
@@ -32,7 +31,7 @@ from eos_pin.control._velocity_box import VelocityBox, compiled_step, part_withi
 from eos_pin.control.eos import law_for
 from eos_pin.control.limited import JointLimits
 from eos_pin.control.objectives import Objective
-from eos_pin.control.state import EosState, KinematicState, Solved
+from eos_pin.control.state import Command, EosState, KinematicState, Solved
 from eos_pin.control.tolerance import CommandLimits
 from eos_pin.errors import InputError, SingularError, StateError
 from eos_pin.tasks.base import Point, Task
@@ -47,19 +46,6 @@ SAME_TIME, LATE = 1e-12, 0.01
 PACE_RATE = 20.0
 #: What may be assigned while the loop runs, of which steps are compiled.
 CHANGING = {"kp", "kd", "reference", "self_motion", "limits"}
-
-
-@by_value
-class Command(NamedTuple):
-    """Command for joints that take positions or velocities.
-
-    Attributes:
-        q: Positions at the end of the period, (n,) [rad or m]. Continuous joints count turns from the first state on.
-        dq: Velocities that lead there when they are held over the period, (n,) [rad/s or m/s].
-    """
-
-    q: JointVector
-    dq: JointVector
 
 
 class KinematicLoop:
@@ -201,6 +187,19 @@ class KinematicLoop:
         return None if self._state is None else self._state.deficit.copy()
 
     @property
+    def tolerance_used(self) -> dict[str, float]:
+        """Part of each band that the last command uses, by name; more than 1 where it is beyond.
+
+        Where limits of joints, or a target that jumped, leave no command that keeps a band, it is passed.
+        """
+        state = self._state
+        return (
+            {}
+            if state is None
+            else self._within.used(state.z, self._target(state.t + self._period - self.path_delay).z)
+        )
+
+    @property
     def limit_change(self) -> JointVector:
         """Change that limits made in the last joint acceleration, (n,) [rad/s² or m/s²]; zero where they made none."""
         return self._limit_change.copy() if self.limited else np.zeros(self.robot.n)
@@ -324,8 +323,8 @@ class KinematicLoop:
             pace = self.pace if part == 1.0 and abs(self.pace - pace) <= h * PACE_RATE else pace + part * gain
             found = solved(pace)
         a, on, limitless, J, goal, v_d = found
-        parts = self._within.parts(state.z, now.z, state.z_before, z_d_before)
         target = self._target(s + h * pace).z
+        parts = self._within.parts(state.z, now.z, p, target, least, most)
         limited = bool(((a < least) | (a > most)).any())
         if not limited:
             q_next, z = self._solved(on, p, a, J, goal, v_d, exact=limitless)

@@ -1,4 +1,4 @@
-"""Memory of `EosController` and of `KinematicLoop` from one call to the next."""
+"""Memory of `EosController` and of `KinematicLoop` from one call to the next, and the command of the latter."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eos_pin._arrays import Jacobian, JointVector, SelfMotionVector, TaskVector
+from eos_pin._arrays import Jacobian, JointVector, SelfMotionVector, TaskVector, by_value
 from eos_pin.charts.chart import Chart
 from eos_pin.control._regularize import AccelerationMap
 from eos_pin.control._sampled_law import SelfTargets
@@ -21,6 +21,19 @@ from eos_pin.tasks.base import Point
 FORGETTING, PER_SPEED = 20.0, 10.0
 #: Time after which nothing is left of it to rounding [s].
 LONG_AGO = 40.0 / FORGETTING
+
+
+@by_value
+class Command(NamedTuple):
+    """Command for joints that take positions or velocities.
+
+    Attributes:
+        q: Positions at the end of the period, (n,) [rad or m]. Continuous joints count turns from the first state on.
+        dq: Velocities that lead there when they are held over the period, (n,) [rad/s or m/s].
+    """
+
+    q: JointVector
+    dq: JointVector
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -22,6 +21,9 @@ from eos_pin.trajectories.base import Target, Trajectory
 
 #: Rate at which the edge of a band is approached [1/s].
 RATE = 20.0
+#: Part of the deceleration that joints have for a band by which it counts on being braked: other bands, the path's own
+#: acceleration and joints that come to their limits take of it.
+BRAKING = 0.5
 #: Time over which bands are differenced [s].
 STEP = 1e-3
 #: Self-motion over which slopes are differenced [rad or m].
@@ -78,9 +80,11 @@ class Bands:
 class CommandLimits:
     """Limits of joints, and bands of the task, for a loop that commands positions: every command keeps them.
 
-    Of each band h is what the part in use, squared, lacks to 1. Commands obey h⁺ ≥ 2 a h − a² h⁻, a = exp(−ρ T) for a
-    period T: samples of the condition of `Bands`, and h⁺ ≥ 0 from h ≥ 0 on. The condition is met by the joints that are
-    commanded, not by their linear prediction.
+    The edge of a band is approached as joints approach their limits, see `JointLimits.accelerations`: where the part in
+    use lacks d to 1, it grows by T V(d) in a period T at most, V(d) = √(2 b d + c²) − c, c = b/ρ. b is `BRAKING` times
+    the deceleration that the limits of joints leave to it. So a band is not entered faster than joints can brake, and
+    from beyond it comes back likewise. The condition is met by the joints that are commanded, not by their linear
+    prediction.
 
     Args:
         task: The task.
@@ -88,31 +92,52 @@ class CommandLimits:
     """
 
     def __init__(self, task: Task, period: float) -> None:
-        self.task, self._whole, self._square = task, task.whole, period**2
+        self.task, self._whole, self._period, self._square = task, task.whole, period, period**2
         self._smallest = SmallestChange(task.m, task.robot.n, bands=len(task.bands))
         self._sides = SMALL * np.concatenate((np.zeros((1, task.robot.n)), np.eye(task.robot.n), -np.eye(task.robot.n)))
-        self._factor = math.exp(-RATE * period)
 
     def _used(self, z: Float[Array, "K size"], targets: Float[Array, "#K size"]) -> Float[Array, "K B"]:
         """Parts of the bands that are in use, squared."""
         used: Float[Array, "K B"] = np.square(self.task.used(z, targets)).sum(axis=2) / (1.0 - ROOM) ** 2
         return used
 
-    def parts(self, z: Point, target: Point, z_before: Point, target_before: Point) -> Vector:
+    def used(self, z: Point, target: Point) -> dict[str, float]:
+        """Part of each band that a task point uses, by name."""
+        if not self.task.bands:
+            return {}
+        used = np.linalg.norm(self.task.used(z[None], target[None])[0], axis=1)
+        return dict(zip(self.task.bands, used.tolist(), strict=True))
+
+    def parts(
+        self, z: Point, target: Point, p: JointVector, ahead: Point, least: JointVector, most: JointVector
+    ) -> Vector:
         """Largest part of each band, squared, that the next command may use.
 
         Args:
             z: Task point of the last command.
             target: Its target.
-            z_before: Task point of the command before.
-            target_before: Its target.
+            p: Joints at the end of the period without acceleration.
+            ahead: Target there.
+            least: Least acceleration of each joint.
+            most: Largest one.
         """
         if not self.task.bands:
             return np.zeros(0)
-        now, before = 1.0 - self._used(np.array((z, z_before)), np.array((target, target_before)))
-        least = 2.0 * self._factor * now - self._factor**2 * before
-        # A band is not left from within, however fast its edge comes near.
-        return 1.0 - np.where(now >= 0.0, np.maximum(least, 0.0), least)
+        n = p.size
+        Z = np.concatenate((z[None], self._whole.kinematics.value(p + self._sides)))
+        used = self.task.used(Z, np.concatenate((target[None], np.broadcast_to(ahead, (2 * n + 1, ahead.size)))))
+        now, used = np.linalg.norm(used[0], axis=1) / (1.0 - ROOM), used[1:] / (1.0 - ROOM)
+        # Outwards, where the motion leads.
+        out = used[0] / np.maximum(np.linalg.norm(used[0], axis=1), SMALL)[:, None]
+        slopes = ((used[1 : n + 1] - used[n + 1 :]) * out).sum(axis=2).T / (2.0 * SMALL)
+        brake = BRAKING * np.maximum(np.maximum(-slopes * least, -slopes * most).sum(axis=1), NONE)
+        room, near = 1.0 - now, brake / RATE
+        speed = np.copysign(np.sqrt(2.0 * brake * np.abs(room) + near**2) - near, room)
+        # Over a long period a band would be left from within otherwise.
+        parts: Vector = np.square(
+            now + np.where(room > 0.0, np.minimum(self._period * speed, room), self._period * speed)
+        )
+        return parts
 
     def kept(self, z: Point, target: Point, parts: Vector) -> bool:
         """Whether a task point uses no more than these parts of its bands."""

@@ -158,7 +158,7 @@ class Recorder:
         )
         apart = controller.joint_distances(run.t, run.q)
         passed = controller._broken_limits(run.t, run.q, run.dq, run.tau) if run.ok else ""
-        judged = with_shortcomings(run, passed, apart, [row.further for row in self._rows])
+        judged = with_shortcomings(run, task, passed, apart, [row.further for row in self._rows])
         return replace(judged, message=judged.message or not_measured(controller))
 
     def _self_motion(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Shortcomings of a run that ended: parts of tasks given up, limits passed, joints elsewhere, figures not known."""
+"""Shortcomings of a run that ended: parts of tasks given up, limits and bands passed, joints elsewhere."""
 
 from __future__ import annotations
 
@@ -7,23 +7,28 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from eos_pin._arrays import Array
 from eos_pin.control.base import Controller
 from eos_pin.control.objectives import Further
 from eos_pin.simulation.result import TASK_DEFICIT, Result
+from eos_pin.tasks.base import Task
 
 #: A run that ends with joints this far from those they were to follow has not followed them [rad or m].
 ELSEWHERE = 1e-2
+#: A band counts as passed beyond this, as a part of it.
+BAND = 1e-3
 
 
 def with_shortcomings(
-    run: Result, passed: str, apart: Array | None, further: Sequence[Further | None] = (None,)
+    run: Result, task: Task | None, passed: str, apart: Array | None, further: Sequence[Further | None] = (None,)
 ) -> Result:
-    """The run with its shortcomings: part of a task given up, limits passed, joints elsewhere.
+    """The run with its shortcomings: part of a task given up, limits or bands passed, joints elsewhere.
 
     Args:
         run: The run.
+        task: Its task.
         passed: Which limits were passed, in words; empty where none were.
         apart: Distances of the joints from those to follow, at every sample; None where none are followed.
         further: Further task at every sample; None where none is tracked.
@@ -35,6 +40,10 @@ def with_shortcomings(
     if beside:
         errors = np.array([row.error for row in further if row is not None])
         run = replace(run, info={**run.info, "further_task": beside}, further_error=errors)
+    used = _used(task, run)
+    if used is not None:
+        parts = dict(zip(task.bands, used.max(axis=0).tolist(), strict=True)) if task else {}
+        run = replace(run, info={**run.info, "tolerance_used": parts})
     if not run.ok:
         return run
     lost = run.deficit_rows
@@ -51,10 +60,25 @@ def with_shortcomings(
             f"part of the further task, {beside['kind']} of {beside['frame']}, was given up to keep the limits for "
             f"{beside['given_up_seconds']:.3g} s, first at t = {beside['first']:.4g} s"
         )
+    beyond = np.zeros(len(run.t), dtype=bool) if used is None else np.any(used > 1.0 + BAND, axis=1)
+    if beyond.any():
+        widest = ", ".join(f"{name} {part:.3g} times" for name, part in parts.items() if part > 1.0 + BAND)
+        messages.append(
+            f"bands of the task were passed ({widest}) for {run._seconds(beyond):.3g} s, first at "
+            f"t = {run.t[beyond][0]:.4g} s"
+        )
     messages += [elsewhere] * bool(elsewhere)
     # While the controller settles that is to be expected; later the run has not done what it was to do.
-    degraded = passed or elsewhere or lost[run.settled_row :].any() or (yielded and beside["settled"])
+    degraded = passed or elsewhere or (lost | beyond)[run.settled_row :].any() or (yielded and beside["settled"])
     return replace(run, status="degraded" if degraded else run.status, message=". Also, ".join(messages) or run.message)
+
+
+def _used(task: Task | None, run: Result) -> Float[Array, "T B"] | None:
+    """Part of each band that is in use; None where the task has none, or its targets are not known."""
+    if task is None or not task.bands or not np.isfinite(run.z_ref).all():
+        return None
+    used: Float[Array, "T B"] = np.linalg.norm(task.used(run.z, run.z_ref), axis=2)
+    return used
 
 
 def _beside(run: Result, further: Sequence[Further | None]) -> dict[str, Any]:

@@ -114,7 +114,7 @@ def simulate_kinematic(
             "cpu_seconds": time.process_time() - clock, "wall_seconds": time.perf_counter() - wall,
         },
     )  # fmt: skip
-    return with_shortcomings(run, "", loop.self_motion.joint_distances(run.t, run.q, robot), further)
+    return with_shortcomings(run, task, "", loop.self_motion.joint_distances(run.t, run.q, robot), further)
 
 
 def _self_motion(

@@ -250,7 +250,7 @@ class Result:
             "task_error_max": largest_magnitude(self.error[late]),
             "self_motion_error_max": largest_magnitude(self.self_motion_error[late]),
             "joint_drift_per_cycle": [float(d) for d in self.joint_drift_per_cycle],
-            **{name: self.info.get(name) for name in ("joint_distance", "further_task", "coupling")},
+            **{name: self.info.get(name) for name in ("joint_distance", "further_task", "tolerance_used", "coupling")},
             "joint_turns_per_cycle": [int(d) for d in np.abs(self.turns_per_cycle).max(axis=1, initial=0)],
             "given_up_seconds": self.deficit_seconds,
             "singularities": self.singularities,
