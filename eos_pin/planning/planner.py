@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -34,8 +34,8 @@ MARGIN = 0.01
 FINER = 3
 #: Distance that is kept at points for each unit that is lacking between them, and more in any case [m].
 FURTHER, SPARE = 1.25, 1e-4
-#: Distance that is kept by a further search where an obstacle is thinner than steps are long, in reaches.
-WIDER = 2.5e-3
+#: Distances that further searches keep where an obstacle is thinner than steps are long, in reaches.
+WIDER = (2.5e-3, 1e-3, 2.5e-4)
 #: Part of the velocity limits that is left free where they were exceeded between points.
 SLOWER = 2e-3
 #: Part of the velocity limits beyond them from which a pace that was given is refused.
@@ -147,23 +147,36 @@ def plan(
 
 def _clear(search: Search, guess: Array | None, effort: int, timed: bool, began: float) -> Plan:
     """The plan that a search finds, or a further one where that leads through something thin between two points."""
-    problem, grid, step = search.problem, search.grid, search.step
+    problem = search.problem
+    whole = partial(
+        Search, grid=search.grid, step=search.step, ends=(search.start, search.end), reconfigurations=False,
+        seed=search.seed, progress=search.progress,
+    )  # fmt: skip
     made = _searched(search, problem, guess, effort, timed, began)
     if made.status == "planned" and not search.reconfigurations and _lacking(made, problem) > SPARE:
-        wider = replace(problem, gap=problem.gap + WIDER * problem.manifold.robot.reach, sag=0.0)
-        again = Search(wider, grid, step, (search.start, search.end), False, search.seed, search.progress)
-        through = f"{made.info['message']}, and of motions that keep {wider.gap:.3g} m at the points"
-        try:
-            made = _searched(again, problem, None, effort, timed, began)
-        except PlanError as error:
-            if error.stopped:
-                raise
-            raise PlanError(f"{through} none was found: {error}", error.waypoint, error.reached) from error
-        if _lacking(made, problem) > SPARE:
-            raise PlanError(f"{through} the one that was found does so, too; the passage is too narrow")
+        made = _around(made, whole, problem, timed, began)
     if timed and made.status == "planned" and (made.info["velocity_part_max"] or 0.0) > 1.0 + TOO_FAST:
         check_limits(made, MotionLimits.of(made.robot))
     return made
+
+
+def _around(through: Plan, whole: Callable[[Problem], Search], problem: Problem, timed: bool, began: float) -> Plan:
+    """A plan that keeps more distance at its points, in place of one that leads through something thin between two."""
+    refused = PlanError("")
+    for part in WIDER:
+        wider = replace(problem, gap=problem.gap + part * problem.manifold.robot.reach, sag=0.0)
+        begin = f"{through.info['message']}, and of motions that keep {wider.gap:.3g} m at the points "
+        try:
+            made = _searched(whole(wider), problem, None, 1, timed, began)
+        except PlanError as error:
+            if error.stopped:
+                raise
+            refused = PlanError(f"{begin}none was found: {error}", error.waypoint, error.reached)
+            continue
+        if made.status != "planned" or _lacking(made, problem) <= SPARE:
+            return made
+        refused = PlanError(f"{begin}the best does so, too; the passage is too narrow", None, 1.0)
+    raise refused
 
 
 def _searched(search: Search, problem: Problem, guess: Array | None, effort: int, timed: bool, began: float) -> Plan:
