@@ -4,6 +4,7 @@
     python benchmarks/kinematic_loop.py limits --runs 1000  the largest use of every limit in random runs
     python benchmarks/kinematic_loop.py orders --runs 100   a moved reference within its bounds, ten orders a run
     python benchmarks/kinematic_loop.py stops --runs 200    stops on the path at random instants
+    python benchmarks/kinematic_loop.py bands --runs 200    bands of tolerances in random runs with tight limits, judged
     python benchmarks/kinematic_loop.py peers               steps and joints after each round, in one run
     python benchmarks/kinematic_loop.py planned             the same on circles, on planned joints
 
@@ -22,7 +23,8 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
-from marked import HOME, fill, table
+from bands import bands, told
+from marked import HOME, PLANNING, fill, table
 from peers import PEERS, WORKERS, installed
 from setting import Setting
 
@@ -42,6 +44,7 @@ from eos_pin import (
 )
 from eos_pin._arrays import JointVector
 from eos_pin.cli.main import run
+from eos_pin.cli.output import write_json
 from eos_pin.experiments.defaults import fitting_path, make_task, rest_posture
 from eos_pin.tasks.base import Point, Task
 
@@ -233,7 +236,7 @@ def _told(median: float, ends: list[list[float]], task: Task, q: JointVector, go
 
 
 def main(
-    what: tyro.conf.Positional[Literal["tracking", "limits", "orders", "stops", "peers", "planned"]],
+    what: tyro.conf.Positional[Literal["tracking", "limits", "bands", "orders", "stops", "peers", "planned"]],
     runs: int = 100,
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
     write: bool = False,
@@ -243,9 +246,20 @@ def main(
     Args:
         what: What to measure.
         runs: Number of random runs.
-        json_file: File for the results.
-        write: Write the table of `peers` or `planned` into docs/positions.md.
+        json_file: File for the results; `bands` goes on from those that it has.
+        write: Write the table of `peers` or `planned` into docs/positions.md, that of `bands` into docs/planning.md.
     """
+    if what == "bands":
+        known = json.loads(json_file.read_text()) if json_file is not None and json_file.exists() else {}
+        for results in bands(runs, known):
+            if json_file is not None:
+                write_json(json_file, results)
+        lines = told(results)
+        for line in lines:
+            print(*line, sep=": ")
+        if write:
+            fill(PLANNING, "kinematic_loop.py bands", table(("of random runs", ""), lines))
+        return 0
     if what in ("tracking", "peers", "planned"):
         found = {"tracking": tracking, "peers": peers, "planned": planned}[what]()
     else:

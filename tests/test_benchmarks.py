@@ -14,6 +14,7 @@ from checks import compiled_only
 
 sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
 
+import bands
 import compiled
 import peers
 import run
@@ -23,6 +24,7 @@ from sections import Effort, Section, steps
 from setting import RIGHT, Setting, both
 from sliding_mode import sliding_mode
 
+from eos_pin import load_robot
 from eos_pin._kernels.dispatch import REFERENCES
 
 TINY = Effort(rounds=1, repeats=1, targets=2, robots=("panda",), steps=50, duration=0.1, runs=1)
@@ -170,3 +172,27 @@ def test_compiled_benchmark_times_both_forms(tmp_path: Path) -> None:
     for name in REFERENCES:
         assert any(row.startswith(name) for row in found["Kernels"])
     assert {"step, position", "continuous run of 1 s, pose"} <= set(found["Whole"])
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_judge_of_bands_finds_a_worse_command(monkeypatch) -> None:
+    monkeypatch.setattr(bands, "DURATION", 0.5)
+    robot = load_robot("panda", chain_to="auto")
+    case = bands.Case.drawn(robot, 5)
+    trace, h = bands.Trace.of(case), case.period
+    k = int(np.flatnonzero(trace.used.max(axis=1) > 1.0 + bands.PASSED)[0])
+    assert bands.better(case, trace, k) < bands.BETTER
+    assert bands.judged(case, trace, k)["verdict"] in (bands.EXCLUDED, bands.FORESEEN)
+    # The farthest command within the limits, on the other side.
+    low, high = bands.box(case.limits, trace.q[k - 1], trace.dq[k - 1], h)
+    slope = bands.slopes(case.task, trace.q[[k]], case.path(k * h).z)[0, 0, 0]
+    target = case.path(k * h).z
+    worse = max(
+        (trace.q[k - 1] + h * np.where(side * slope > 0.0, high, low) for side in (1.0, -1.0)),
+        key=lambda q: bands.parts(case.task, q[None], target).max(),
+    )
+    trace.q[k], trace.used[k] = worse, bands.parts(case.task, worse[None], target)[0]
+    assert bands.better(case, trace, k) > 10.0 * bands.BETTER
+    found = {"0": bands.one(robot, 3), "1": {"singular": True}}
+    assert next(bands.bands(1, found)) == found
+    assert dict(bands.told(found))["runs, commands"].startswith("1, ")
