@@ -378,10 +378,8 @@ class LimitedEosController(EosController):
     ) -> Callable[[JointVector, JointVector, JointVector, Jacobian], tuple[JointVector, JointVector]]:
         """Torque within all limits, and the change that they make in the joint acceleration."""
         kept = self._viability
-        within = Limits(
-            self.control_period, kept.rate, kept.ends, kept.fastest, kept.braking, kept.acceleration,
-            self.limits.torque, CLEAR, FAST, TIMES, MET, self._model, self._smallest,
-        )  # fmt: skip
+        within = Limits(self.control_period, kept.rate, kept.ends, kept.fastest, kept.braking, kept.acceleration,
+            self.limits.torque, CLEAR, FAST, TIMES, MET, self._model, self._smallest)  # fmt: skip
         return within if self._bands is None else partial(self._within_bands, within)
 
     def _within_bands(
@@ -396,5 +394,6 @@ class LimitedEosController(EosController):
     def _drive(self, t: float, q: JointVector, dq: JointVector, state: EosState) -> tuple[JointVector, float, Jacobian]:
         ddq, margin, J = super()._drive(t, q, dq, state)
         if self._bands is not None:
-            ddq = ddq + self._smallest.into_bands(J, ddq, *self._bands(self.reference, t, q, dq))
+            bands = self._bands(self.reference, t, q, dq, self._viability(q, dq))
+            ddq = ddq + self._smallest.into_bands(J, ddq, *bands)
         return ddq, margin, J

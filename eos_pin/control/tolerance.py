@@ -32,6 +32,8 @@ SMALL = 1e-5
 SLACK = 1e-4
 #: Part of a band that is left alone, so that what is neglected does not leave it.
 ROOM = 1e-3
+#: Rate at which that speed is approached [1/s], and part of a band from which on it counts.
+CLOSING, MIDDLE = 100.0, 0.1
 #: How often a command is corrected for curved bands at most, and excess of a band's part, squared, that needs none.
 STEPS, NONE = 6, 1e-9
 #: Acceleration of the task beyond which a change gave it up [m/s² or rad/s²].
@@ -56,15 +58,19 @@ class Bands:
         self._sides = SMALL * np.concatenate((np.eye(task.robot.n), -np.eye(task.robot.n)))
 
     def __call__(
-        self, reference: Trajectory, t: float, q: JointVector, dq: JointVector
+        self, reference: Trajectory, t: float, q: JointVector, dq: JointVector, within: Vector | None = None
     ) -> tuple[Float[Array, "B n"], Float[Array, " B"]]:
         """Rows S and bounds b; S ddq ≤ b keeps every band.
+
+        Where accelerations are limited the edge is approached no faster than they let it be braked, as in
+        `CommandLimits`.
 
         Args:
             reference: Path of the task, the middle of the bands.
             t: Time on it [s].
             q: Joints.
             dq: Joint velocities.
+            within: Largest accelerations, and largest negative ones, (2n,).
         """
         n, ahead = q.size, STEP * dq
         targets = np.array([reference(t).z, reference(t + STEP).z, reference(t - STEP).z])
@@ -74,7 +80,19 @@ class Bands:
         s = np.square(used).sum(axis=2) / (1.0 - ROOM) ** 2
         rate, bend = (s[1] - s[2]) / (2.0 * STEP), (s[1] - 2.0 * s[0] + s[2]) / STEP**2
         most = -2.0 * self.rate * rate + self.rate**2 * (1.0 - s[0]) - bend
-        return ((s[3 : n + 3] - s[n + 3 :]) / (2.0 * SMALL)).T, most
+        rows = ((s[3 : n + 3] - s[n + 3 :]) / (2.0 * SMALL)).T
+        if within is not None:
+            part = np.sqrt(np.maximum(s[0], SMALL))
+            slopes, speed, room = rows / (2.0 * part)[:, None], rate / (2.0 * part), 1.0 - part
+            brake = BRAKING * np.maximum(np.maximum(slopes * within[n:], -slopes * within[:n]).sum(axis=1), NONE)
+            near = brake / self.rate
+            root = np.sqrt(2.0 * brake * np.maximum(room, 0.0) + near**2)
+            # The part in use may gain speed up to V(d), and on V(d) it loses V' of it.
+            gain = CLOSING * (root - near - speed) - brake / root * speed
+            most = np.where(
+                (part > MIDDLE) & (room > 0.0), np.minimum(most, 2.0 * (speed**2 + part * gain) - bend), most
+            )
+        return rows, most
 
 
 class CommandLimits:

@@ -249,6 +249,10 @@ def test_bands_are_approached_as_slowly_as_joints_can_brake(arm):
     run = simulate_kinematic(KinematicLoop(task, path, law, control_period=0.01, limits=slow), POSTURE, duration=1.5)
     used = run.summary()["tolerance_used"]
     assert 0.99 < max(used.values()) <= 1.0
+    within = JointLimits.from_robot(arm, acceleration=1.0)
+    controller = LimitedEosController(task, path, law, limits=within, control_period=4e-3)
+    run = simulate_sampled(arm, controller, POSTURE, duration=1.0, control_period=4e-3)
+    assert 0.8 < max(run.info["tolerance_used"].values()) <= 1.0
     # A target that jumps takes the band along, and the run says so.
     far = Hold(task.whole.plus(path.z, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.5])), task.m)
     run = simulate_kinematic(KinematicLoop(task, far, control_period=0.01, limits=slow), POSTURE, duration=0.2)
