@@ -192,12 +192,9 @@ class KinematicLoop:
 
         Where limits of joints, or a target that jumped, leave no command that keeps a band, it is passed.
         """
-        state = self._state
-        return (
-            {}
-            if state is None
-            else self._within.used(state.z, self._target(state.t + self._period - self.path_delay).z)
-        )
+        if (state := self._state) is None:
+            return {}
+        return self._within.used(state.z, self._target(state.t + self._period - self.path_delay).z)
 
     @property
     def limit_change(self) -> JointVector:

@@ -84,15 +84,30 @@ class Bands:
         if within is not None:
             part = np.sqrt(np.maximum(s[0], SMALL))
             slopes, speed, room = rows / (2.0 * part)[:, None], rate / (2.0 * part), 1.0 - part
-            brake = BRAKING * np.maximum(np.maximum(slopes * within[n:], -slopes * within[:n]).sum(axis=1), NONE)
-            near = brake / self.rate
-            root = np.sqrt(2.0 * brake * np.maximum(room, 0.0) + near**2)
+            brake, fastest = _approach(slopes, -within[n:], within[:n], room, self.rate)
             # The part in use may gain speed up to V(d), and on V(d) it loses V' of it.
-            gain = CLOSING * (root - near - speed) - brake / root * speed
+            gain = CLOSING * (fastest - speed) - brake / (fastest + brake / self.rate) * speed
             most = np.where(
                 (part > MIDDLE) & (room > 0.0), np.minimum(most, 2.0 * (speed**2 + part * gain) - bend), most
             )
         return rows, most
+
+
+def _approach(
+    slopes: Float[Array, "B n"], least: JointVector, most: JointVector, room: Vector, rate: float
+) -> tuple[Vector, Vector]:
+    """Deceleration b that counts for bands, and the speed V(d) at which their edges may be approached.
+
+    Args:
+        slopes: Derivatives of the parts in use by the joints.
+        least: Least acceleration of each joint.
+        most: Largest one.
+        room: Parts d that are left; where they are negative the speed is that of coming back.
+        rate: Rate ρ at which an edge is approached that is near [1/s].
+    """
+    brake = BRAKING * np.maximum(np.maximum(-slopes * least, -slopes * most).sum(axis=1), NONE)
+    near = brake / rate
+    return brake, np.copysign(np.sqrt(2.0 * brake * np.abs(room) + near**2) - near, room)
 
 
 class CommandLimits:
@@ -148,9 +163,8 @@ class CommandLimits:
         # Outwards, where the motion leads.
         out = used[0] / np.maximum(np.linalg.norm(used[0], axis=1), SMALL)[:, None]
         slopes = ((used[1 : n + 1] - used[n + 1 :]) * out).sum(axis=2).T / (2.0 * SMALL)
-        brake = BRAKING * np.maximum(np.maximum(-slopes * least, -slopes * most).sum(axis=1), NONE)
-        room, near = 1.0 - now, brake / RATE
-        speed = np.copysign(np.sqrt(2.0 * brake * np.abs(room) + near**2) - near, room)
+        room = 1.0 - now
+        _, speed = _approach(slopes, least, most, room, RATE)
         # Over a long period a band would be left from within otherwise.
         parts: Vector = np.square(
             now + np.where(room > 0.0, np.minimum(self._period * speed, room), self._period * speed)

@@ -78,20 +78,30 @@ def broken_at(problem: Problem, q: Float[Array, "L n"], between: Float[Array, "L
     """
     following = np.concatenate((q[1:], problem.again(q)[None])) if closed else q[1:]
     q, between = q[: len(following)], between[: len(following)]
-    middle = 0.5 * (q + following).T
-    on, found = problem.manifold.project(middle, between.T, iterations=10)
     motion = (following - q).T
     # A step so long may lead over a limit, or to another branch.
-    wrong = ~(is_near(on, found, middle, motion) & problem.clear_halfway(on, motion))
-    wrong |= (np.abs(motion) > FAR * problem.scale[:, None]).any(axis=0)
+    far = (np.abs(motion) > FAR * problem.scale[:, None]).any(axis=0)
+    wrong = far | ~leads_halfway(problem, q.T, motion, between.T)
     return int(wrong.argmax()) if wrong.any() else None
 
 
-def is_near(
-    on: Float[Array, "n K"], found: Bool[Array, " K"], middle: Float[Array, "n K"], motion: Float[Array, "n K"]
+def leads_halfway(
+    problem: Problem, a: Array, way: Array, Z: Array, home: Callable[[Array], Array] = lambda Q: Q
 ) -> Bool[Array, " K"]:
-    """Whether joints on the manifold are near the middle of a motion that was projected there."""
-    return found & (np.abs(on - middle).max(axis=0) <= 0.3 * np.abs(motion).max(axis=0) + 0.02)
+    """Whether motions are continuous and clear halfway: the path's joints are near there, and no thin obstacle is.
+
+    Args:
+        problem: The problem.
+        a: Joints that they begin at, (n, K).
+        way: The motions, (n, K).
+        Z: Task points halfway, one for each or one for all.
+        home: As in `unbroken`.
+    """
+    middle = a + 0.5 * way
+    on, found = problem.manifold.project(middle, Z, iterations=10)
+    near: Bool[Array, " K"] = found & (np.abs(on - middle).max(axis=0) <= 0.3 * np.abs(way).max(axis=0) + 0.02)
+    near[near] = problem.clear_halfway(home(on[:, near]), way[:, near])
+    return near
 
 
 class Penalty(Barrier):
@@ -227,10 +237,7 @@ def unbroken(
 
     def continuous(a: Array, b: Array, Z: Array) -> Bool[Array, " K"]:
         way = motion(a, b)
-        middle = a + 0.5 * way
-        on, found = problem.manifold.project(middle, Z, iterations=10)
-        near = is_near(on, found, middle, way)
-        near[near] = problem.clear_halfway(home(on[:, near]), way[:, near])
+        near = leads_halfway(problem, a, way, Z, home)
         size = np.abs(way / problem.scale[:, None]).max(axis=0)
         far = np.flatnonzero(near & (size > LONG))
         if len(far):

@@ -79,13 +79,11 @@ def figures(
             info["message"] = f"between way points {used.max():.4g} times a tolerance is used"
     if problem.clearances is not None and len(problem.clearances):
         info["clearance_min"] = float(problem.clearances(at_marks.T).min())
-        info["clearance_between_min"] = float(problem.clearances(dense.T).min())
-        if info["clearance_between_min"] < problem.gap:
-            row = int(problem.clearances(dense.T).argmin())
-            info["message"] = (
-                f"between way points, at {times[row]:.4g} s, the clearance falls to "
-                f"{info['clearance_between_min']:.3g} m"
-            )
+        between = problem.clearances(dense.T)
+        row = int(between.argmin())
+        info["clearance_between_min"] = float(between[row])
+        if between[row] < problem.gap:
+            info["message"] = f"between way points, at {times[row]:.4g} s, the clearance falls to {between[row]:.3g} m"
     return info
 
 
